@@ -92,6 +92,8 @@ def arranged(
     array = array.transpose([axes.index(axis) for axis in wanted])
     if "c" not in axes:
         array = array[..., None]
+    elif not told:
+        _check_colours(path, array, axes)
     if "n" not in axes:
         if grid is not None and tuple(grid) != array.shape[:2]:
             raise LightFieldError(f"{path} has a grid of {array.shape[0]} x {array.shape[1]} views, not of {grid}.")
@@ -119,6 +121,19 @@ def _seen_as_square(path: Path, array: NDArray[Any], shape: tuple[int, int]) -> 
     return "a square, as their parallax shows"
 
 
+def _check_colours(path: Path, array: NDArray[Any], axes: str) -> None:
+    """Raise LightFieldError if the colours [..., y, x, c] of a view move against each other, as views do."""
+    if array.dtype.kind not in "uf" or array.shape[-1] == 1:
+        return
+    view = array.reshape(-1, *array.shape[-3:])[len(array) // 2]
+    if parallax.are_views([parallax.grey(view[..., [k]]) for k in range(view.shape[-1])]):
+        raise LightFieldError(
+            f"{path}: what are the {view.shape[-1]} colours of each view in the usual order of axes, {axes}, look like "
+            f"views; say the order with --axes, such as {axes.replace('n', 'v').replace('c', 'u')} (axes= in Python), "
+            f"or --axes {axes} if they are colours."
+        )
+
+
 def _usual(shape: tuple[int, ...]) -> str | None:
     colours = len(shape) >= 4 and shape[-1] <= 4
     return {3: "nyx", 4: "nyxc" if colours else "vuyx", 5: "vuyxc" if colours else None}.get(len(shape)) or (
@@ -131,18 +146,11 @@ def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int,
     if axes and (_makes_sense(shape, axes) or (grid is not None and tuple(grid) == shape[:2])):
         return
     fitting = [other for other in _OTHERS[len(shape)] if other != axes and _makes_sense(shape, other)]
-    if not fitting:
-        if axes:
-            return
-        raise LightFieldError(
-            f"{path} holds an array of shape {shape}; views must be [v, u, y, x, c], c = 1 to 4, or axes must say the "
-            "order: axes=, --axes on the command line."
-        )
-    found = f"views of {shape[axes.index('x')]} x {shape[axes.index('y')]} px" if axes else "no colours last"
+    usual = f"views of {shape[axes.index('x')]} x {shape[axes.index('y')]} px" if axes else "no colours last"
     raise LightFieldError(
-        f"{path} holds an array of shape {shape}, in the usual order of axes {found}: say the order with "
-        f"--axes {' or '.join(fitting)} (axes= in Python)"
-        f"{f', or --axes {axes} if it is the usual one' if axes else ''}."
+        f"{path} holds an array of shape {shape}, in the usual order of axes {usual}: say the order with --axes "
+        f"{' or '.join(fitting) if fitting else 'ORDER, one letter of v, u (or n), y, x and c for each axis'} "
+        f"(axes= in Python){f', or --axes {axes} if it is the usual one' if axes else ''}."
     )
 
 
@@ -154,8 +162,8 @@ def _makes_sense(shape: tuple[int, ...], axes: str) -> bool:
     if "n" in axes:
         count = size["n"]
         return count <= size["y"] * size["x"] and max(size["y"], size["x"]) <= _LONGEST * min(size["y"], size["x"])
-    colours_for_views = "c" not in axes and 3 in (size["v"], size["u"]) and size["v"] != size["u"]
-    return (
+    colours_for_views = size.get("c", 1) == 1 and {3, 4} & {size["v"], size["u"]} and size["v"] != size["u"]
+    return bool(
         size["v"] <= size["y"]
         and size["u"] <= size["x"]
         and max(size["y"], size["x"]) <= _LONGEST * min(size["y"], size["x"])

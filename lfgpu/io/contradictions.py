@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,9 +14,11 @@ from lfgpu.io.parallax import AROUND, FITS, SMALLEST, beside, fit, grey_of, move
 
 _STEPS = 4  # of views that are looked at on either side of the reference
 _BETTER = 0.3  # of the motion: how much more another way to count cameras must explain
-_MISFIT, _TOLD = 0.7, 0.85  # share that the places explain of a motion that one disparity map explains so well
+_MISFIT = 0.15  # of the motion: how much less than one disparity map the places explain where they are wrong
+_HALF, _STILL = 0.5, 0.15  # share of the motion that is explained; steps that are so much shorter than others are none
 _LOOKED_AT, _BLOCK = 128, 4  # pixels of the longer side, means of blocks of which are compared upside down
 _UPSIDE_DOWN, _LESS = 0.7, 0.3  # correlation upside down, and how much less it is upright
+_BLOCKS, _ONE_SCENE = 12, 0.5  # pixels of the shorter side; correlation of pictures of one scene, at least
 _NAMED = 4  # views that a sentence names
 _WAYS = (
     (False, "", np.eye(2)),
@@ -26,14 +30,13 @@ _WAYS = (
 
 def contradictions(light_field: LightField) -> tuple[str, ...]:
     """Say in sentences how the pictures contradict the places of their cameras; empty if they do not."""
-    found = (no_parallax(light_field), upside_down(light_field), contradiction(light_field))
-    return tuple(sentence for sentence in found if sentence is not None)[:1]
+    found = (look(light_field) for look in (no_parallax, copied, upside_down, contradiction, other_scenes))
+    return tuple(islice((sentence for sentence in found if sentence is not None), 1))
 
 
 def no_parallax(light_field: LightField) -> str | None:
     """Return a sentence if all views are the same picture, which shows something; else None."""
-    views = light_field.views
-    if views[0].min() == views[0].max() or any(not np.array_equal(views[0], view) for view in views[1:]):
+    if len(_copies(light_field)) < len(light_field.views) - 1:
         return None
     return (
         "All views are the same picture: there is no parallax, so there is no depth. Probably one camera took them, or "
@@ -41,16 +44,36 @@ def no_parallax(light_field: LightField) -> str | None:
     )
 
 
+def copied(light_field: LightField) -> str | None:
+    """Return a sentence if some views are the same picture, which shows something; else None."""
+    if not (found := _copies(light_field)):
+        return None
+    named = [f"row {v:g}, column {u:g}" for u, v in light_field.positions[list(found[0])]]
+    more = f", and {len(found) - 1} more are copies" if len(found) > 1 else ""
+    return f"The views at {named[0]} and at {named[1]} are the same picture{more}: probably a file was copied."
+
+
+def _copies(light_field: LightField) -> list[tuple[int, int]]:
+    """List the views that are the same picture as an earlier one, that first, if it shows something."""
+    views, step = light_field.views, max(1, max(light_field.size) // _LOOKED_AT)
+    first: dict[bytes, int] = {}
+    pairs = [(first.setdefault(view[::step, ::step].tobytes(), index), index) for index, view in enumerate(views)]
+    return [
+        (one, other)
+        for one, other in pairs
+        if one != other and views[one].min() < views[one].max() and np.array_equal(views[one], views[other])
+    ]
+
+
 def upside_down(light_field: LightField) -> str | None:
     """Return a sentence that names the pictures that look like the others upside down; None if there are none."""
     if min(light_field.size) < SMALLEST or is_mapped(light_field.views):
         return None
-    step = max(1, max(light_field.size) // _LOOKED_AT)
+    step = max(1, min(light_field.size) // (_BLOCKS * _BLOCK))
     few = light_field.views[:, ::step, ::step].mean(axis=3, dtype=np.float64)
     thumbs = np.stack([shrunk(view, _BLOCK) for view in few])
     middle = thumbs[light_field.reference_index]
-    turned = np.array([_alike(thumb[::-1, ::-1], middle) - _alike(thumb, middle) > _LESS for thumb in thumbs])
-    turned &= np.array([_alike(thumb[::-1, ::-1], middle) > _UPSIDE_DOWN for thumb in thumbs])
+    turned = np.array([_is_turned(thumb, middle) for thumb in thumbs])
     if turned.mean() > 0.5:  # then the reference is
         turned = ~turned
     found = np.flatnonzero(turned)
@@ -65,6 +88,41 @@ def upside_down(light_field: LightField) -> str | None:
     )
 
 
+def _is_turned(thumb: NDArray[np.float64], middle: NDArray[np.float64]) -> bool:
+    """Tell whether a small picture looks like another one upside down, and not as it is."""
+    if _alike(thumb, middle) > _UPSIDE_DOWN:
+        return False
+    turned = _alike_moved(thumb[::-1, ::-1], middle)
+    return turned > _UPSIDE_DOWN and turned > _alike_moved(thumb, middle) + _LESS
+
+
+def other_scenes(light_field: LightField) -> str | None:
+    """Return a sentence if a view beside the reference looks unlike it, however far it is moved; else None."""
+    if min(light_field.size) < SMALLEST:
+        return None
+    factor = max(1, min(light_field.size) // _BLOCKS)
+    centre = grey_of(light_field, light_field.reference_index, factor)
+    for index in (n for axis in (0, 1) if (n := beside(light_field, axis)) is not None):
+        if _alike_moved(grey_of(light_field, index, factor), centre) < _ONE_SCENE:
+            u, v = light_field.positions[index]
+            return (
+                f"The picture at row {v:g}, column {u:g} does not look like the reference beside it: perhaps the views "
+                "are of several times or scenes, or are stored in another way."
+            )
+    return None
+
+
+def _alike_moved(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Largest correlation of two small pictures where they overlap, one of them moved by up to a third."""
+    (height, width), reach, found = a.shape, _BLOCKS // 3, -1.0
+    for y, x in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        y, x = y - reach, x - reach
+        one = a[max(0, y) : height + min(0, y), max(0, x) : width + min(0, x)]
+        other = b[max(0, -y) : height + min(0, -y), max(0, -x) : width + min(0, -x)]
+        found = max(found, _alike(one, other))
+    return found
+
+
 def contradiction(light_field: LightField) -> str | None:
     """Say in a sentence how parallax contradicts the places of the cameras; None if it does not."""
     factor = max(1, max(light_field.size) // AROUND)
@@ -74,19 +132,39 @@ def contradiction(light_field: LightField) -> str | None:
     chosen = sorted({int(n) for n in near} | {n for axis in (0, 1) if (n := beside(light_field, axis)) is not None})
     centre = grey_of(light_field, light_field.reference_index, factor)
     found = moves([(centre, grey_of(light_field, n, factor)) for n in chosen])
-    if found is None or not found.told:
+    if found is None:
         return None
     offsets = light_field.offsets[chosen]
-    scores = [fit(found.vectors, offsets @ matrix.T) for *_, matrix in _WAYS]
+    once = np.hypot(*offsets.T)[:, None]  # views far away tell no more than those nearby
+    vectors, offsets = found.vectors / once, offsets / once
+    if found.explained > _HALF and (still := _still_line(vectors, offsets)) is not None:
+        return (
+            f"By their parallax the camera stood still between the views of a {still}: perhaps they are times, "
+            "exposures or colours of one camera."
+        )
+    if not found.told:
+        return None
+    scores = [fit(vectors, offsets @ matrix.T) for *_, matrix in _WAYS]
     in_line = min(np.ptp(np.vstack([offsets, np.zeros((1, 2))]), axis=0)) == 0
     best = int(np.argmax(scores[::2])) * 2 if in_line else int(np.argmax(scores))
     if scores[best] > FITS and scores[0] < scores[best] - _BETTER:
         return _counted_otherwise(light_field, *_WAYS[best][:2], in_line=in_line)
-    if max(scores) < _MISFIT and found.explained > _TOLD:
-        order = _order(light_field, chosen, found.vectors)
-        told = "" if order is None else f"; --order {order} fits (order= in Python)"
-        return f"By their parallax the views do not stand where they are said to stand{told}."
-    return None
+    if max(scores) > FITS:
+        return None
+    order = _order(light_field, chosen, vectors, once)
+    if order is None and max(scores) > found.explained - _MISFIT:
+        return None
+    told = "" if order is None else f"; --order {order} fits (order= in Python)"
+    return f"By their parallax the views do not stand where they are said to stand{told}."
+
+
+def _still_line(vectors: NDArray[np.float64], offsets: NDArray[np.float64]) -> str | None:
+    """Return "row" or "column" if views in such a line do not move, but others do; else None."""
+    steps = [np.hypot(*vectors[offsets[:, 1 - axis] == 0].T) for axis in (0, 1)]
+    if not all(map(len, steps)):
+        return None
+    across, down = (float(step.max()) for step in steps)
+    return "row" if across < _STILL * down else "column" if down < _STILL * across else None
 
 
 def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, in_line: bool) -> str:
@@ -102,15 +180,19 @@ def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, i
     return f"By their parallax {what}: {advice}{', or with the other axis flipped if near comes out far' * bool(flip)}."
 
 
-def _order(light_field: LightField, chosen: list[int], vectors: NDArray[np.float64]) -> str | None:
-    """Find the order of a full grid that fits distances of cameras from the reference; None if there is none."""
+def _order(
+    light_field: LightField, chosen: list[int], vectors: NDArray[np.float64], once: NDArray[np.float64]
+) -> str | None:
+    """Find the order of a full grid that fits distances of cameras from the reference, divided by `once`; None if there
+    is none.
+    """
     shape = light_field.grid_shape
     if shape is None or light_field.missing or min(shape) < 2:
         return None
     scores = {}
     for order in ORDERS[1:]:
         positions = reordered(light_field, order).positions
-        scores[order] = fit(vectors, positions[chosen] - positions[light_field.reference_index])
+        scores[order] = fit(vectors, (positions[chosen] - positions[light_field.reference_index]) / once)
     best = max(scores, key=lambda order: scores[order])
     return best if scores[best] > FITS else None
 

@@ -180,8 +180,8 @@ FORMATS: tuple[Format, ...] = (
         extra="video",
         takes=("grid", "order", "every"),
     ),
-    _numbered("named-views", "a folder of images named by row and column, such as view_00_03.png", "order"),
-    _numbered("row-folders", "a folder of folders, one for each row of cameras, with numbered images", "order"),
+    _numbered("named-views", "a folder of images named by row and column, such as view_00_03.png", "grid", "order"),
+    _numbered("row-folders", "a folder of folders, one for each row of cameras, with numbered images", "grid", "order"),
     Format(
         name="hci-hdf5",
         description="old HCI light fields: an HDF5 file with LF and GT_DEPTH",

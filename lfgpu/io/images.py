@@ -29,7 +29,7 @@ INVERTED = "inverted, as it is stored with white as 0"
 FLOAT64_ROUNDED = "float64 values rounded to float32"
 
 _TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
-_BITS_TAG, _INTERPRETATION_TAG, _ORIENTATION_TAG, _PLANAR_TAG = 258, 262, 274, 284
+_WIDTH_TAG, _HEIGHT_TAG, _BITS_TAG, _INTERPRETATION_TAG, _ORIENTATION_TAG, _PLANAR_TAG = 256, 257, 258, 262, 274, 284
 _WHITE_IS_ZERO = 0
 _UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     2: lambda a: a[:, ::-1],
@@ -127,6 +127,8 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
     try:
         with pillow.opened(path) as image:
             turn, remarks = _UPRIGHT.get(_orientation(image)), set[str]()
+            if isinstance(image, TiffImageFile):  # Pillow 13 takes grey pixels for stored in the size of what is shown
+                image._size = (image.tag_v2[_WIDTH_TAG], image.tag_v2[_HEIGHT_TAG])
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)

@@ -14,14 +14,10 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import grid_field
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
-from lfgpu.io.tiles import tiles_in
+from lfgpu.io.sheets import block_in, tiles_in
 from lfgpu.io.vignette import lit
 
 _STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png
-_SMALLEST, _LARGEST = 3, 32  # blocks that are looked for
-_EXPLAINED = 0.35  # share of the variation of neighbouring differences that repeats with the blocks: 0.9 in real
-# mosaics, 0.1 at most in pictures
-_NEARLY = 0.85  # of the best share: multiples of the block explain as much as the block
 
 
 def recognise(path: Path) -> str | None:
@@ -43,8 +39,17 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
     """
     image, _ = read_image(path)
     notes = []
-    if grid is None:
-        grid = _STANFORD if recognise(path) and _divides(_STANFORD, image) else _block(image)
+    rows, columns = block_in(image)
+    if grid is not None:
+        if (rows or grid[0], columns or grid[1]) != tuple(grid):
+            notes.append(
+                f"By its pixels, blocks of {rows or grid[0]} x {columns or grid[1]} repeat in the picture, not the "
+                f"{grid[0]} x {grid[1]} of the grid."
+            )
+    elif recognise(path) and _divides(_STANFORD, image):
+        grid = _STANFORD
+    else:
+        grid = None if rows is None or columns is None else (rows, columns)
         if grid is None and (side_by_side := tiles_in(image)) is not None:
             raise LightFieldError(_side_by_side(path, side_by_side))
         if grid is None:
@@ -80,27 +85,3 @@ def _side_by_side(path: Path, shape: tuple[int, int]) -> str:
 
 def _divides(grid: tuple[int, int], image: NDArray[Any]) -> bool:
     return image.shape[0] % grid[0] == 0 and image.shape[1] % grid[1] == 0
-
-
-def _block(image: NDArray[Any]) -> tuple[int, int] | None:
-    """Find the block whose size divides the image and with which differences of neighbouring pixels repeat."""
-    grey = image.mean(axis=2, dtype=np.float32)
-    rows, columns = _period(np.abs(np.diff(grey, axis=0)).mean(axis=1)), _period(np.abs(np.diff(grey)).mean(axis=0))
-    return None if rows is None or columns is None else (rows, columns)
-
-
-def _period(profile: NDArray[np.float32]) -> int | None:
-    """Find the smallest period that explains nearly as much of a profile as the best one; None if that is little."""
-    length = len(profile) + 1
-    if length < 4 * _SMALLEST or not profile.mean() > 0:
-        return None
-    # In logarithms, and without the mean of each cycle, so that the picture itself counts less.
-    levels = np.append(np.log(profile + 1e-3 * profile.mean()), np.nan)
-    explained = {}
-    for period in range(_SMALLEST, _LARGEST + 1):
-        if length % period == 0 and length >= 4 * period:
-            cycles = levels.reshape(-1, period)
-            cycles = cycles - np.nanmean(cycles, axis=1, keepdims=True)
-            explained[period] = float(np.nanmean(cycles, axis=0).var() / max(float(np.nanvar(cycles)), 1e-12))
-    best = max(explained.values(), default=0.0)
-    return None if best < _EXPLAINED else next(p for p, share in explained.items() if share >= _NEARLY * best)

@@ -15,12 +15,14 @@ from lfgpu.errors import LightFieldError
 
 ROW, COLUMN, CAMERA, TIME, EXPOSURE, UNKNOWN = "row", "column", "camera", "time", "exposure", "unknown"
 CONSTANT = "constant"
+BESIDE = "two numbers beside each other"
+"""Reason of the convention for rows and columns without words."""
 
 _WORDS = {
     ROW: "row rows r v y line",
     COLUMN: "column columns col cols c u x",
     CAMERA: "camera cameras cam cams view views viewpoint sensor",
-    TIME: "frame frames time t timestamp date",
+    TIME: "frame frames time t timestamp date shot take scene run sequence seq",
     EXPOSURE: "exposure exp iso ev gain shutter",
 }
 _MEANINGS = {word: meaning for meaning, words in _WORDS.items() for word in words.split()}
@@ -144,7 +146,7 @@ def understood(names: Sequence[Name]) -> Naming:
     for place, why in _moments(names).items():
         meanings[place] = (TIME, why)
     _name_pair(names, words, meanings, varying)
-    _name_rest(columns, meanings, varying)
+    _name_rest(words, columns, meanings, varying)
     return Naming(tuple(names), tuple(Number(*what, tuple(v)) for what, v in zip(meanings, columns, strict=True)))
 
 
@@ -183,15 +185,22 @@ def _name_pair(names: Sequence[Name], words: Sequence[str], meanings: list[tuple
         free = meanings[last][0] == UNKNOWN and meanings[last - 1][0] in (UNKNOWN, CAMERA) and not words[last]
         short = all(len(name.digits[place]) <= _PLACE_DIGITS for name in names for place in pair)
         if free and short and (varying & set(pair) or len(names) == 1):
-            meanings[last - 1] = (ROW, "two numbers beside each other")
-            meanings[last] = (COLUMN, "two numbers beside each other")
+            meanings[last - 1], meanings[last] = (ROW, BESIDE), (COLUMN, BESIDE)
             return
 
 
-def _name_rest(columns: Sequence[Sequence[int]], meanings: list[tuple[str, str]], varying: set[int]) -> None:
+def _name_rest(
+    words: Sequence[str], columns: Sequence[Sequence[int]], meanings: list[tuple[str, str]], varying: set[int]
+) -> None:
     """Name the number that is left: the other of row and column, or the only number that differs."""
     places = [place for place in varying if meanings[place][0] in (ROW, COLUMN, CAMERA)]
     unknown = [place for place in sorted(varying) if meanings[place][0] == UNKNOWN]
+    known = {meanings[place][0] for place in places}
+    if known in ({ROW, CAMERA}, {COLUMN, CAMERA}) and len(places) == 2:  # "row0_cam3"
+        camera, line = sorted(places, key=lambda place: meanings[place][0] != CAMERA)
+        if len(set(columns[camera])) < len(columns[camera]):
+            found = COLUMN if meanings[line][0] == ROW else ROW
+            meanings[camera] = (found, f"cameras of each {meanings[line][0]}")
     if places and len(set(zip(*(columns[place] for place in places), strict=True))) == len(columns[0]):
         for place in unknown:
             if len(set(columns[place])) == len(columns[place]):
@@ -199,8 +208,7 @@ def _name_rest(columns: Sequence[Sequence[int]], meanings: list[tuple[str, str]]
         return
     if len(unknown) != 1:
         return
-    known = {meanings[place][0] for place in places}
-    if known in ({ROW}, {COLUMN}):
+    if known in ({ROW}, {COLUMN}) and words[unknown[0]] in ("", "/"):
         meanings[unknown[0]] = (COLUMN if known == {ROW} else ROW, f"the other number is the {known.pop()}")
     elif varying == {unknown[0]}:
         meanings[unknown[0]] = (CAMERA, "it is the only number that differs")
@@ -263,6 +271,12 @@ def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:
         raise LightFieldError(
             f"pattern must name numbers as {{u}} (column), {{v}} (row), {{n}} (camera), {{t}}, {{date}}, {{time}} or "
             f"{{exposure}}, such as cam{{u}}_frame{{t}}.png; found {wrong}."
+        )
+    counted = [_FIELDS[field] for field in fields if _FIELDS[field] != TIME]
+    if len(set(counted)) < len(counted) or {CAMERA, ROW} <= set(counted) or {CAMERA, COLUMN} <= set(counted):
+        raise LightFieldError(
+            f"pattern {pattern!r} says twice where a camera stood; name {{v}} and {{u}}, or {{n}}, once each, and put "
+            "* for other numbers."
         )
     places = pieces[::2]
     text = "([+-]?[0-9]+)".join(re.escape(piece).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for piece in places)

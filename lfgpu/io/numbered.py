@@ -16,6 +16,7 @@ from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.grid import by_place, read_grid
 from lfgpu.io.images import image_size
 from lfgpu.io.naming import (
+    BESIDE,
     CAMERA,
     COLUMN,
     EXPOSURE,
@@ -136,7 +137,14 @@ def read_numbered(
     notes += chosen
     naming = _of_one_size(path, naming, notes, allow_missing=allow_missing)
     rows, columns, cameras = (naming.of(meaning) for meaning in (ROW, COLUMN, CAMERA))
-    if not cameras and rows and columns:
+    alone = None if cameras else _alone(naming)
+    if alone is not None and (grid is not None or _is_in_no_line(naming, alone)):
+        light_field = _read_row(
+            path, naming, alone, notes, grid=grid, every=every, down=False, allow_missing=allow_missing
+        )
+    elif not cameras and rows and columns:
+        if grid is not None:
+            raise LightFieldError(f"{path} has rows and columns in the names of its images; leave grid out.")
         light_field = _read_grid(path, naming, rows[0], columns[0], notes, allow_missing=allow_missing)
     else:
         number = next(iter(cameras or columns or rows or naming.of(TIME)), None)
@@ -149,6 +157,19 @@ def read_numbered(
             path, naming, number, notes, grid=grid, every=every, down=down, allow_missing=allow_missing
         )
     return light_field
+
+
+def _alone(naming: Naming) -> Number | None:
+    """Return the number that differs of two beside each other, neither of which has a word: "view_00_03"."""
+    pair = [number for number in (*naming.of(ROW), *naming.of(COLUMN)) if number.why == BESIDE]
+    varying = [number for number in pair if number.varies]
+    return varying[0] if len(pair) == 2 and len(varying) == 1 else None
+
+
+def _is_in_no_line(naming: Naming, alone: Number) -> bool:
+    """Tell whether pictures show that their cameras do not stand in a line as the number that differs says."""
+    files = [file for _, file in sorted(zip(alone.values, naming.files, strict=True))]
+    return len(files) > 3 and parallax.line(parallax.consecutive(files[:_LOOKED_AT])) not in (None, alone.meaning)
 
 
 def frames_of(path: Path, pattern: str | None = None) -> int:
@@ -222,6 +243,7 @@ def _question(path: Path, naming: Naming) -> str | None:
     places = [*naming.of(ROW), *naming.of(COLUMN), *cameras]
     moving = [number for number in places if number.varies]
     unclear = len(cameras) > 1 or len(naming.of(ROW)) > 1 or len(naming.of(COLUMN)) > 1
+    unclear |= bool(cameras) and any(number.varies for number in places[: -len(cameras)])
     first = naming.files[0]
     at = {number.meaning: place for place, number in enumerate(naming.numbers) if number.varies}
     if naming.of(EXPOSURE) and len(_places(naming)) > len(set(_places(naming))):
@@ -247,7 +269,10 @@ def _question(path: Path, naming: Naming) -> str | None:
             "{n} a camera and {t} a time in place of {?}."
         )
     if times and not moving:
-        if all("word" in number.why for number in times) and parallax.is_row(naming.files[:_LOOKED_AT]):
+        if (
+            all("word" in number.why for number in times)
+            and parallax.line(parallax.consecutive(naming.files[:_LOOKED_AT])) == "row"
+        ):
             return None
         if all("pattern" in number.why for number in times):
             return None
@@ -422,16 +447,14 @@ def _shape(path: Path, files: Sequence[Path], count: int, *, down: bool) -> tupl
     if not grids or len(files) != count:
         return (1, count), "they are taken for one row, to the right in equal steps"
     looked_at = files[:_LOOKED_AT]
-    if parallax.is_row(looked_at):
-        return (
-            1,
-            count,
-        ), "by their parallax they stand in one row; it is taken to run to the right in equal steps"
+    told = parallax.consecutive(looked_at)
+    if parallax.line(told) == "row":
+        return (1, count), "by their parallax they stand in one row; it is taken to run to the right in equal steps"
     proposed = [*grids[: len(grids) // 2 + 1]] if len(grids) > 6 else grids
     options = ", ".join(f"--grid {rows}x{columns}" for rows, columns in [(1, count), *proposed])
-    told = parallax.consecutive(looked_at)
     fit = parallax.best_order(told, [(1, count), (count, 1), *grids]) if told is not None else None
     shows = f"; by the pictures {fit} fits" if fit else ""
+    shows += ", or with --flip u if near comes out far then" * ("--flip" in shows)
     raise LightFieldError(
         f"{path} has {count} numbered images, in one row or in a grid: say which with one of {options} "
         f"(grid=(rows, columns) in Python), and --order if they are not stored row by row{shows}."

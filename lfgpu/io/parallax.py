@@ -29,6 +29,7 @@ _SURE = 0.35  # correlation from which two sets of disparities agree, or are opp
 _EXPLAINED = 0.6  # share of the motion that one disparity map explains where it can be believed
 FITS = 0.85  # share of the motion that the right order of cameras explains, at least
 _CLEARER = 0.05  # of the motion: how much more the right order explains than any other
+_AGAINST = 0.3  # of a step, against the direction in which it should be
 _STILL = 0.01  # pixels of the shrunken views, rms: less is no motion
 _ALIKE = 0.7  # correlation of pictures of one scene; those of other scenes are below it, as a rule
 
@@ -179,15 +180,17 @@ def _normalised(picture: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(values / max(float(values.std()), 1e-9))
 
 
-def is_row(files: Sequence[Path]) -> bool | None:
-    """Tell whether pictures come from a camera that moved along a row: each moves against the one before to the same
-    side. None if they do not tell."""
-    found = consecutive(files)
+def line(found: Moves | None) -> str | None:
+    """Tell whether pictures that follow each other come from a camera that moved along a "row" or a "column", each time
+    to the same side; "" if they do not, None if they do not tell."""
     if found is None or not found.told:
         return None
     along = found.vectors @ np.linalg.svd(found.vectors, full_matrices=False)[2][0]
-    across = np.abs(found.vectors[:, 1]).sum() / max(float(np.abs(found.vectors).sum()), 1e-12)
-    return bool(across < 0.25 and (np.sign(along) == np.sign(along.sum())).all())
+    if not (np.sign(along) == np.sign(along.sum())).all():
+        return ""
+    across, down = np.abs(found.vectors).sum(axis=0)
+    share = down / max(float(across + down), 1e-12)
+    return "row" if share < 0.25 else "column" if share > 0.75 else ""
 
 
 def consecutive(files: Sequence[Path]) -> Moves | None:
@@ -204,6 +207,19 @@ def consecutive(files: Sequence[Path]) -> Moves | None:
 def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
     """Return the distances of the cameras of consecutive grey pictures [y, x]; None if they are too small."""
     return moves(list(pairwise(pictures)))
+
+
+def are_views(planes: Sequence[NDArray[np.float64]]) -> bool:
+    """Tell whether pictures that may be colours of one view look like views of a line of cameras in equal steps."""
+    if not all(np.isfinite(plane).all() and plane.std() > 0 for plane in planes):
+        return False
+    alike = min(float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) for a, b in pairwise(planes))
+    found = in_sequence(planes) if alike > _ALIKE else None
+    if not line(found):
+        return False
+    assert found is not None
+    steps = np.hypot(*found.vectors.T)
+    return found.explained > FITS and steps.min() > steps.max() / 2
 
 
 def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
@@ -226,8 +242,12 @@ def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
             seen, steps = found.vectors / long, steps / long
             along = (seen * steps).sum(0) / np.maximum((steps**2).sum(0), 1e-12)
             options = f"--grid {shape[0]}x{shape[1]}" + f" --order {order}" * (order != ORDERS[0])
+            if (seen * steps * along < -_AGAINST * along**2).any():  # another step than all others of its kind
+                continue
             options += " --flip v" * bool(along[0] * along[1] < 0)
             scores[options] = 1 - float(((seen - along * steps) ** 2).sum() / (seen**2).sum())
+    if not scores:
+        return None
     first, *others = sorted(scores, key=lambda options: -scores[options])
     clear = not others or scores[others[0]] < scores[first] - _CLEARER
     return first if scores[first] > FITS and clear else None

@@ -265,18 +265,21 @@ def test_pictures_upside_down_are_named(places: list[tuple[int, int]], true: Lig
 @pytest.mark.parametrize("orientation", range(1, 9))
 @pytest.mark.parametrize("kind", ["png", "jpg", "tif", "webp"])
 def test_all_formats_are_upright_as_exif_says(kind: str, orientation: int, tmp_path: Path) -> None:
-    """A square with a bright corner, stored such that the orientation brings it upright."""
+    """A picture with a bright corner, stored such that the orientation brings it upright; in colour and grey."""
     stored = {1: (0, 0), 2: (0, 1), 3: (1, 1), 4: (1, 0), 5: (0, 0), 6: (1, 0), 7: (1, 1), 8: (0, 1)}
-    picture = np.full((32, 32, 3), 40, np.uint8)
+    picture = np.full((32, 64, 3) if orientation < 5 else (64, 32, 3), 40, np.uint8)
+    half_y, half_x = (side // 2 for side in picture.shape[:2])
     row, column = stored[orientation]
-    picture[16 * row : 16 * row + 16, 16 * column : 16 * column + 16] = 220
+    picture[half_y * row : half_y * (row + 1), half_x * column : half_x * (column + 1)] = 220
     exif = Image.Exif()
     exif[0x112] = orientation
-    Image.fromarray(picture).save(tmp_path / f"a.{kind}", exif=exif)
-    upright, remarks = read_image(tmp_path / f"a.{kind}")
-    assert upright[:14, :14].min() > 200
-    assert max(upright[18:, :].max(), upright[:, 18:].max()) < 60
-    assert (TURNED in remarks) == (orientation != 1 and kind != "tif")
+    for shown in (picture, picture[..., 0]):
+        Image.fromarray(shown).save(tmp_path / f"a.{kind}", exif=exif)
+        upright, remarks = read_image(tmp_path / f"a.{kind}")
+        assert upright.shape[:2] == (32, 64)
+        assert upright[:14, :30].min() > 200
+        assert max(upright[18:, :].max(), upright[:, 34:].max()) < 60
+        assert (TURNED in remarks) == (orientation != 1 and kind != "tif")
 
 
 @pytest.mark.parametrize("kind", ["u1", "u2", "f4"])

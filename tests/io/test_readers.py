@@ -41,7 +41,7 @@ def test_parallax_tells_a_flip(tmp_path: Path, true: LightField) -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"grid": (2, 3)}, "read as named-views, for which grid means nothing"),
+        ({"grid": (2, 3)}, "has rows and columns in the names of its images; leave grid out"),
         ({"every": 2}, "for which every means nothing"),
         ({"grid": (0, 3)}, "grid must be (rows, columns)"),
         ({"every": 0}, "every must be a whole number of at least 1, not 0."),

@@ -1,0 +1,117 @@
+"""Light fields told in other words, drawn at random, and each rule that they led to."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+from samples import refusal, save
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.io import read
+from lfgpu.scenes import make
+from tests.io import meanings
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_the_same_in_other_words(seed: int, tmp_path: Path) -> None:
+    result, way, why = meanings.one(seed, tmp_path)
+    assert result != "wrong", f"{way}: {why}"
+
+
+def test_lies_are_noticed_by_the_comparison() -> None:
+    """A light field that was read as another one, without a note, is wrong: the comparison itself can fail."""
+    scene = meanings.Scene(meanings._made(1, False)[:3, :4])
+    v, u = np.mgrid[:3, :4]
+    views = scene.views.reshape(-1, *scene.views.shape[2:])
+    for positions, found in (
+        ((u, v), "same"),
+        ((-u, -v), "reversed"),
+        ((u, -v), "cameras at"),
+        ((u, 2 * v), "cameras"),
+    ):
+        lf = LightField(views, np.stack(positions, axis=-1).reshape(-1, 2).astype(float))
+        assert meanings._judged(lf, scene, masked=False).startswith(found)
+    lf = LightField(np.roll(views, 1, axis=2), np.stack((u, v), axis=-1).reshape(-1, 2).astype(float))
+    assert "none of the pictures" in meanings._judged(lf, scene, masked=False)
+
+
+@pytest.fixture(scope="module")
+def true() -> LightField:
+    return make("planes", grid=(3, 4), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+
+
+def named(lf: LightField, folder: Path, name: str) -> Path:
+    for index, (view, (u, v)) in enumerate(zip(lf.views, lf.positions.astype(int).tolist(), strict=True)):
+        save(folder / name.format(u=u, v=v, i=index), view)
+    return folder
+
+
+def test_a_grid_counted_by_the_second_of_two_numbers_is_asked_about(true: LightField, tmp_path: Path) -> None:
+    folder = named(true, tmp_path / "grid", "run 02_{i:02d}.png")
+    assert "by the pictures --grid 3x4 fits" in refusal(lambda: read(folder))
+    np.testing.assert_array_equal(read(folder, grid=(3, 4)).view(2, 1), true.view(2, 1))
+    row = named(true.subset("row"), tmp_path / "row", "view_00_{u:02d}.png")
+    assert read(row).grid_shape == (1, 4)
+    column = named(true.subset("column"), tmp_path / "column", "view_{v:02d}_00.png")
+    assert read(column).grid_shape == (3, 1)
+
+
+def test_cameras_of_rows_and_numbers_with_other_words(true: LightField, tmp_path: Path) -> None:
+    found = read(named(true, tmp_path / "cameras", "cam{u}/row{v}.png"))
+    np.testing.assert_array_equal(found.view(2, 1), true.view(2, 1))
+    assert "column (cameras of each row)" in found.reading.places
+    for name in ("row{v}_cam{i}.png", "dial{u}_row{v}.png"):
+        folder = named(true, tmp_path / name, name)
+        assert "it cannot be known what the numbers" in refusal(lambda folder=folder: read(folder))
+
+
+def test_patterns_name_a_place_once(true: LightField, tmp_path: Path) -> None:
+    folder = named(true, tmp_path, "a{u}-b{v}.png")
+    for pattern in ("a{u}-b{u}.png", "a{n}-b{v}.png"):
+        assert "says twice where a camera stood" in refusal(lambda pattern=pattern: read(folder, pattern=pattern))
+
+
+def test_arrays_without_any_order_that_makes_sense_are_asked_about(true: LightField, tmp_path: Path) -> None:
+    grid = true.views.reshape(3, 4, 96, 112, 3)
+    np.save(tmp_path / "a.npy", grid.transpose(0, 3, 2, 1, 4))  # v, x, y, u, c
+    assert "--axes ORDER, one letter of v, u (or n), y, x and c for each axis" in refusal(
+        lambda: read(tmp_path / "a.npy")
+    )
+    np.testing.assert_array_equal(read(tmp_path / "a.npy", axes="vxyuc").views, true.views)
+    for count in (2, 3, 4):  # grey views that may pass for colours
+        np.save(tmp_path / "b.npy", grid[:, :count, :, :, 1].transpose(0, 2, 3, 1))
+        assert "look like views; say the order with --axes, such as vyxu" in refusal(lambda: read(tmp_path / "b.npy"))
+    np.save(tmp_path / "c.npy", grid[:1].transpose(4, 0, 1, 2, 3)[:, 0])  # c, n, y, x
+    assert "--axes" in refusal(lambda: read(tmp_path / "c.npy"))
+
+
+def test_mosaics_of_blocks_of_two_and_mosaics_given_as_tiles(tmp_path: Path) -> None:
+    lf = make("planes", grid=(2, 2), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+    grid = lf.views.reshape(2, 2, 96, 112, 3)
+    save(tmp_path / "a.png", grid.transpose(2, 0, 3, 1, 4).reshape(192, 224, 3))
+    assert read(tmp_path / "a.png", format="mosaic").grid_shape == (2, 2)
+    told = refusal(lambda: read(tmp_path / "a.png", format="tiles", grid=(2, 2)))
+    assert "--format mosaic" in told
+    assert (
+        "blocks of 2 x 2 repeat in the picture, not the 4 x 4"
+        in read(tmp_path / "a.png", format="mosaic", grid=(4, 4)).notes[0]
+    )
+
+
+def test_pictures_that_contradict_their_places(true: LightField, tmp_path: Path) -> None:
+    notes = read(named(true, tmp_path / "true", "row{v}_col{u}.png")).notes
+    assert notes == ()
+    copied = named(true, tmp_path / "copied", "row{v}_col{u}.png")
+    Image.fromarray(true.view(0, 1)).save(copied / "row0_col3.png")
+    assert "row 0, column 1 and at row 0, column 3 are the same picture" in read(copied).notes[-1]
+    other = named(true, tmp_path / "other", "row{v}_col{u}.png")
+    save(other / "row1_col1.png", make("boxes", grid=(1, 2), size=(96, 112), seed=4).views[0])
+    assert "The picture at row 1, column 1 does not look like" in read(other).notes[-1]
+    still = tmp_path / "still"
+    for time in range(3):  # of which one camera after the other is told, without words
+        for camera, view in enumerate(true.subset("row").views):
+            save(still / f"{time}_{camera}.png", np.clip(view.astype(int) + 3 * time, 0, 255).astype(np.uint8))
+    assert "the camera stood still between the views of a column" in read(still).notes[-1]
