@@ -65,11 +65,11 @@ def test_a_pixel_is_found_in_the_reference_view(u: int, v: int) -> None:
     disparity[8:16, 10:20] = 3.0
     disparity[0, 0] = np.nan
     contents = Contents(lf, {"mine": Entry(DisparityMap(disparity))})
-    index = lf.index_of(v, u)
+    offset = u - 1, v - 1
     for x, y in ((12, 10), (25, 20), (17, 14)):
         d = disparity[y, x]
-        assert pictures.in_reference(contents, "mine", "final", index, x - d * (u - 1), y - d * (v - 1)) == (x, y)
-    assert pictures.in_reference(contents, "none", "final", index, 3, 4) == ((3, 4) if (u, v) == (1, 1) else None)
+        assert pictures.in_reference(contents, "mine", "final", offset, x - d * (u - 1), y - d * (v - 1)) == (x, y)
+    assert pictures.in_reference(contents, "none", "final", offset, 3, 4) == ((3, 4) if (u, v) == (1, 1) else None)
 
 
 def test_small_views_are_made_once_and_not_too_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,13 +76,8 @@ def _at(contents: Contents, query: Query) -> Any:
     if contents.size is None:
         return {"pixel": None, "values": {}, "other": {}}
     name, stage = query.text("result", ""), query.text("stage", FINAL)
-    x, y = query.number("x"), query.number("y")
-    index = query.whole("index")
-    if index >= 0:
-        found = pictures.in_reference(contents, name, stage, index, x, y)
-    else:
-        height, width = contents.size
-        found = int(np.clip(x, 0, width - 1)), int(np.clip(y, 0, height - 1))
+    x, y, du, dv = (query.number(word) for word in ("x", "y", "du", "dv"))
+    found = pictures.in_reference(contents, name, stage, (du, dv), x, y)
     if found is None:
         return {"pixel": None, "values": {}, "other": {}}
     return {

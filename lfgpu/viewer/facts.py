@@ -29,6 +29,7 @@ COLOURS = ("viridis", "cividis", "magma", "turbo", "gray", "RdBu_r", "viridis_r"
 """Colour maps of matplotlib that pages may choose."""
 
 _MOST = 50.0  # per cent of the pixels: a map of more bad ones is not shown without a word
+_DARK = 0.45  # of full intensity: a light field with hardly anything brighter is shown brighter
 _SCALE_AGE = 1.0  # seconds after which the scales of a stream are measured again
 _WRITTEN = {
     ".npz": "everything: maps of all stages, confidence, parameters; for lfgpu and NumPy",
@@ -178,8 +179,16 @@ def _light_field(lf: LightField) -> dict[str, Any]:
         "counted": are_counted(lf.positions),
         "read": [f"{label.capitalize()}: {sentence}." for label, sentence in lf.reading.lines()],
         "findings": list(lf.notes),
+        "exposure": _exposure(lf),
         "aperture": float(np.hypot(*lf.offsets.T).max()),
     }
+
+
+def _exposure(lf: LightField) -> float:
+    """Find by how many stops a dark light field is shown brighter: until a hundredth of the reference is almost white."""
+    few = lf.views[lf.reference_index, ::4, ::4].max(axis=-1)
+    bright = float(np.quantile(few, 0.99)) * lf.scale
+    return round(min(math.log2(0.9 / max(bright, 1e-3)), 6.0), 1) if bright < _DARK else 0.0
 
 
 def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:

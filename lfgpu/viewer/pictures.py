@@ -202,21 +202,21 @@ def _value(contents: Contents, name: str, kind: str, stage: str, x: int, y: int)
     return None if values is None else float(values[y, x])
 
 
-def in_reference(contents: Contents, name: str, stage: str, index: int, x: float, y: float) -> tuple[int, int] | None:
-    """Find the pixel of the reference view that shows what pixel (x, y) of a view shows, by a map.
+def in_reference(
+    contents: Contents, name: str, stage: str, offset: tuple[float, float], x: float, y: float
+) -> tuple[int, int] | None:
+    """Find the pixel of the reference view that shows what pixel (x, y) of a camera (du, dv) beside it shows, by a map.
 
     Of several surfaces that lie behind each other it is the nearest one. None if no pixel of the map is seen there.
     """
-    lf = contents.lf
-    if lf is None or not 0 <= index < len(lf.views):
-        raise LightFieldError(f"there is no view {index}.")
-    height, width = lf.size
-    if index == lf.reference_index:
+    if contents.size is None:
+        return None
+    (height, width), (du, dv) = contents.size, offset
+    if not (du or dv):
         return int(np.clip(x, 0, width - 1)), int(np.clip(y, 0, height - 1))
     entry = contents.all_entries().get(name)
     if entry is None:
         return None
-    du, dv = lf.offsets[index]
     disparity = entry.stage(stage)
     low, high = entry.ends(stage)
     rows, columns = _between(y, dv, low, high, height), _between(x, du, low, high, width)

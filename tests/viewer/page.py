@@ -27,7 +27,9 @@ class Page:
         self, browser: Any, viewer: Viewer, *, width: int = 1366, height: int = 650, script: str = "", **options: Any
     ) -> None:
         """With `script`, JavaScript that runs before that of the page."""
-        context = browser.new_context(viewport={"width": width, "height": height}, **options)
+        context = browser.new_context(
+            viewport={"width": width, "height": height}, **{"reduced_motion": "reduce", **options}
+        )
         context.add_init_script(script)
         self.tab = context.new_page()
         self.errors: list[str] = []

@@ -13,7 +13,8 @@ import { act, connect, newest, values } from "./server.js";
 import { Space } from "./space.js";
 import { Store } from "./store.js";
 import { Thumbnails, neighbour } from "./thumbnails.js";
-import { onArrival } from "./tiles.js";
+import { Parallax, Sway } from "./parallax.js";
+import { coarsest, numbers, onArrival, tile, want } from "./tiles.js";
 import { Viewport } from "./viewport.js";
 
 const COLOURS = { RdBu_r: "blue, white, red", viridis_r: "viridis, reversed", gray: "grey" }; // names for people
@@ -25,7 +26,8 @@ learn(fixed.colours);
 
 let state = null; // of the server
 const ui = new Store({
-  view: 0, pixel: null, found: null, hover: null, // found: the values at the pixel
+  view: 0, camera: null, // [du, dv] of one between the views
+  sway: null, pixel: null, found: null, hover: null, // found: the values at the pixel
   quantity: "disparity", result: NOTHING, stage: FINAL, other: NOTHING, compare: "wipe", flipped: false,
   colourMaps: {}, ranges: {}, // of each quantity, where they were changed
   exposure: 0, gamma: 1, left: "view", right: "map", focus: 0, aperture: 0,
@@ -68,13 +70,62 @@ function viewSource(index = ui.view) {
     const query = { result: ui.result, stage: ui.stage, of: state.revision };
     return { ...common, key: `sharp ${state.views} ${one.identity} ${ui.stage}`, what: "sharp", query, isComputed: true };
   }
+  if (ui.camera && index === ui.view) return cameraSource(common);
   return { ...common, key: `view ${state.views} ${index}`, what: "view", query: { index, of: state.revision } };
 }
 
-/** Where the pixel is in a view; null where that is not known. */
-function pixelIn(view) {
+// --- a camera between the views ---
+
+const parallax = new Parallax();
+const VIEWS_AHEAD = 120, SWAY = 0.35; // of the aperture
+const calm = matchMedia("(prefers-reduced-motion: reduce)"), canSway = () => !calm.matches && canInterpolate() && parallax.isFast;
+const canInterpolate = () => Boolean(lf() && entry(ui.result) && parallax.isThere);
+
+function cameraSource(common) {
+  const disparities = mapSource(ui.result, "disparity", ui.stage), level = coarsest(disparities);
+  const views = lf().offsets.map((offset, n) => ({ offset, source: { ...common, key: `view ${state.views} ${n}`, what: "view", query: { index: n, of: state.revision } } }));
+  const far = ({ offset }) => Math.hypot(offset[0] - ui.camera[0], offset[1] - ui.camera[1]);
+  views.sort((a, b) => far(a) - far(b));
+  const draw = () => {
+    want(parallax, [disparities, ...views.slice(0, VIEWS_AHEAD).map(({ source }) => source)].map((source) => [source, level, 0, 0]));
+    const found = numbers(disparities, level, 0, 0);
+    const there = views.slice(0, VIEWS_AHEAD).map(({ offset, source }) => ({ offset, key: `${source.key} ${source.look}`, picture: tile(source, level, 0, 0) })).filter(({ picture }) => picture);
+    if (!found || !there.length) return null;
+    return parallax.draw(ui.camera, { key: disparities.key, ...found, step: 2 ** level }, there);
+  };
+  return { ...common, key: `camera ${state.views} ${disparities.key} ${ui.camera}`, draw };
+}
+
+/** Move the camera to [du, dv] from the reference, not beyond the outermost views; without a map, to the nearest view. */
+function moveCamera(wanted) {
+  const { offsets } = lf(), inside = (value, axis) => Math.min(Math.max(value, Math.min(...offsets.map((one) => one[axis]))), Math.max(...offsets.map((one) => one[axis])));
+  const camera = wanted.map(inside), far = offsets.map(([du, dv]) => Math.hypot(du - camera[0], dv - camera[1]));
+  ui.set({ camera: canInterpolate() ? camera : null, view: far.indexOf(Math.min(...far)), left: "view" });
+  return camera;
+}
+
+const chooseView = (index) => ui.set({ view: index, camera: null, left: "view" });
+
+let home = null; // where the camera is when it does not sway
+const sway = new Sway(
+  () => canInterpolate() && (ui.sway ?? canSway()) && ui.left === "view" && viewport.zoom === 1 && !document.hidden && !state.frame,
+  (by) => {
+    home ??= { camera: ui.camera, view: ui.view, at: cameraPlace() };
+    if (by) moveCamera(home.at.map((at, axis) => at + by[axis] * SWAY * lf().aperture));
+    else {
+      ui.set({ camera: home.camera, view: home.view });
+      home = null;
+    }
+  },
+);
+
+/** Where the camera of the view stands, [du, dv] from the reference. */
+const cameraPlace = () => ui.camera ?? lf().offsets[ui.view];
+
+/** Where the pixel is in the view; null where that is not known. */
+function pixelInView() {
   if (!ui.pixel || !lf()) return ui.pixel;
-  const [du, dv] = lf().offsets[view];
+  const [du, dv] = cameraPlace();
   if (!du && !dv) return ui.pixel;
   const disparity = ui.found?.values.disparity;
   return Number.isFinite(disparity) ? [ui.pixel[0] - disparity * du, ui.pixel[1] - disparity * dv] : null;
@@ -83,24 +134,32 @@ function pixelIn(view) {
 // --- pictures ---
 
 const viewport = new Viewport();
+let dragged = null; // where the camera is while it is dragged
 const isOfReference = () => ui.left !== "view";
 
 const view = new Picture($("view"), viewport, {
   point: (x, y) => point("left", x, y),
-  choose: (x, y) => choose(x, y, isOfReference() ? -1 : ui.view).then((found) => {
+  choose: (x, y) => choose(x, y, offsetOf("left")).then((found) => {
     const disparity = found?.values.disparity;
     if (ui.left === "refocused" && Number.isFinite(disparity)) ui.set({ focus: disparity });
   }),
   overlay: (context, place) => {
-    const at = isOfReference() ? ui.pixel : pixelIn(ui.view);
+    const at = isOfReference() ? ui.pixel : pixelInView();
     if (at) drawCross(context, place, ...at);
   },
+  drag: (dx, dy, { shiftKey }) => {
+    if (isOfReference() || (viewport.zoom > 1.001) !== shiftKey) return false;
+    const { width, height } = viewport.place(view), reach = 2 * lf().aperture;
+    dragged = moveCamera([dragged[0] - (dx / width) * reach, dragged[1] - (dy / height) * reach]);
+    return true;
+  },
+  grasp: () => (dragged = cameraPlace()),
   complete: () => takeLater(),
   next: () => state.frame ? [] : Object.values(ARROWS).map((arrow) => neighbour(lf(), ui.view, ...arrow)).filter((index) => index !== ui.view).map(viewSource),
 });
 const onMap = {
   point: (x, y) => point("right", x, y),
-  choose: (x, y) => choose(x, y, -1),
+  choose: (x, y) => choose(x, y, [0, 0]),
   wipe: (share) => {
     map.wipe = share;
     map.draw();
@@ -111,21 +170,23 @@ const onMap = {
 const map = new Picture($("map"), viewport, onMap), otherMap = new Picture($("other-map"), viewport, onMap);
 onArrival(() => [view, map, otherMap].forEach((one) => one.draw()));
 
-const epiState = () => ({ lf: lf(), pixel: ui.pixel, disparity: ui.found?.values.disparity, look: look(), current: ui.left === "view" ? ui.view : -1 });
+const epiState = () => ({ lf: lf(), pixel: ui.pixel, disparity: ui.found?.values.disparity, look: look(), current: ui.left === "view" && !ui.camera ? ui.view : -1 });
 const epis = [
-  new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], index, 1)),
-  new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, index, 0)),
+  new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], lf().offsets[index], 1)),
+  new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, lf().offsets[index], 0)),
 ];
 const histogram = new Histogram($("histogram"), () => takeLater());
 const film = new Film(() => state, () => [view, map, otherMap].every((one) => one.isComplete));
-const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: ui.view, look: look() }), (index) => ui.set({ view: index, left: "view" }));
+const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: ui.view, look: look() }), chooseView);
 
-const here = (x, y, index) => ({ x, y, index, result: ui.result, stage: ui.stage, other: ui.other, of: state.revision });
+/** Where the camera of what a pane shows stands. */
+const offsetOf = (pane) => (pane === "left" && !isOfReference() ? cameraPlace() : [0, 0]);
+const here = (x, y, [du, dv]) => ({ x, y, du, dv, result: ui.result, stage: ui.stage, other: ui.other, of: state.revision });
 
 /** Choose the point that a pixel of a view shows; `keep` is the coordinate that stays as it is (an EPI has only one). */
-async function choose(x, y, index, keep = -1) {
+async function choose(x, y, offset, keep = -1) {
   return orTell(async () => {
-    const found = await values("at", here(x, y, index));
+    const found = await values("at", here(x, y, offset));
     if (!found.pixel) {
       tell("No pixel of the map is seen there: choose another place, or choose it in the reference view.");
       return found;
@@ -143,8 +204,7 @@ const askHover = newest((query) => values("at", query), (found, query) => {
 function point(pane, x, y) {
   if (x === null) return ui.set({ hover: null });
   if (!ui.hover) ui.set({ hover: { pane, shown: [x, y], pixel: null, values: null } });
-  const index = pane === "left" && !isOfReference() ? ui.view : -1;
-  return askHover({ ...here(x, y, index), pane, shown: [x, y] });
+  return askHover({ ...here(x, y, offsetOf(pane)), pane, shown: [x, y] });
 }
 
 /** What the readout, the histogram and the pictures say is of this state. */
@@ -155,7 +215,7 @@ const askFound = newest((query) => values("at", query), (found, { of }) => ui.se
 
 function findPixel() {
   if (!state?.size || !ui.pixel) return;
-  askFound(here(...ui.pixel, -1));
+  askFound(here(...ui.pixel, [0, 0]));
 }
 
 // --- where things stand ---
@@ -221,9 +281,9 @@ function showLeft() {
 
 /** Which view it is, and how far its camera is to the right of and below the reference camera. */
 function viewName() {
-  const { positions, offsets, reference, counted } = lf(), [u, v] = positions[ui.view], [du, dv] = offsets[ui.view];
-  const place = element("b", { textContent: counted ? `Row ${v}, column ${u}` : `View ${ui.view}` });
-  return [place, ui.view === reference ? ", reference" : ` (${signed(du)}, ${signed(dv)})`];
+  const { positions, reference, counted } = lf(), [u, v] = positions[ui.view], [du, dv] = cameraPlace();
+  const place = element("b", { textContent: ui.camera ? "Camera" : counted ? `Row ${v}, column ${u}` : `View ${ui.view}` });
+  return [place, ui.view === reference && !ui.camera ? ", reference" : ` (${signed(du)}, ${signed(dv)})`];
 }
 
 const short = (value) => String(Number(value.toFixed(2))).replace("-", "−");
@@ -374,7 +434,7 @@ function showReadout() {
   const at = ui.hover?.values ? ui.hover : ui.found && { ...ui.found, pane: null };
   const said = [];
   if (at) {
-    const inView = at.pane === "left" && !isOfReference() && lf() && ui.view !== lf().reference;
+    const inView = at.pane && offsetOf(at.pane).some(Boolean);
     if (inView) said.push(part("in the view", `${at.shown[0]}, ${at.shown[1]}`, ""));
     const pixel = at.pixel ? `${at.pixel[0]}, ${at.pixel[1]}` : "not in the map";
     said.push(part(at.pane ? (inView ? "in the reference" : "x, y") : "chosen x, y", pixel, ""));
@@ -400,11 +460,11 @@ function select(id, chosen, attribute = "aria-selected") {
   }
 }
 
-ui.on("view left result stage focus aperture exposure gamma", showLeft);
-ui.on("view exposure gamma", showThumbnails);
+ui.on("view camera left result stage focus aperture exposure gamma", showLeft);
+ui.on("view camera exposure gamma", showThumbnails);
 ui.on("pixel exposure gamma", showEpis);
 ui.on("pixel result stage other", findPixel);
-ui.on("found view left", () => {
+ui.on("found view camera left", () => {
   [view, map, otherMap].forEach((one) => one.draw());
   epis.forEach((one) => one.draw());
   showHistogram();
@@ -488,7 +548,7 @@ function takeNow(next) {
 function beginning() {
   const [height, width] = state.size, light = lf();
   return {
-    view: light?.reference ?? 0, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null,
+    view: light?.reference ?? 0, camera: null, exposure: light?.exposure ?? 0, gamma: 1, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null,
     focus: 0, aperture: light?.aperture ?? 0, ranges: {}, metric: true, ...(light ? {} : { left: "view" }),
   };
 }
@@ -590,7 +650,11 @@ for (const id of ["low", "high"]) {
   };
 }
 const press = (id, act) => ($(id).onclick = (event) => event.target.dataset.value && act(event.target.dataset.value));
-press("left-tabs", (value) => ui.set({ left: value, hover: null }));
+function showLeftAs(left) {
+  const disparity = ui.found?.values.disparity; // the focus begins at the chosen pixel
+  ui.set({ left, hover: null, ...(left === "refocused" && ui.left !== left && Number.isFinite(disparity) ? { focus: disparity } : {}) });
+}
+press("left-tabs", showLeftAs);
 press("right-tabs", (value) => ui.set({ right: value }));
 press("compare", (value) => ui.set({ compare: value, flipped: value === "flip" && !ui.flipped }));
 document.querySelector("nav").onclick = (event) => event.target.dataset.value && showPart(event.target.dataset.value);
@@ -608,7 +672,11 @@ function walk(list, chosen, by) {
 }
 
 const KEYS = {
-  r: () => lf() && ui.set({ view: lf().reference, left: "view" }),
+  r: () => lf() && chooseView(lf().reference),
+  w: () => {
+    ui.set({ sway: !(ui.sway ?? canSway()) });
+    if (ui.sway) sway.start();
+  },
   f: () => viewport.fit(),
   "+": () => viewport.enlarge(map.canvas.offsetParent ? map : view, ...middle(), 1.5),
   "=": () => KEYS["+"](),
@@ -616,9 +684,9 @@ const KEYS = {
   "[": () => state.results.length && ui.set({ result: walk(state.results.map(({ name }) => name), ui.result, -1) }),
   "]": () => state.results.length && ui.set({ result: walk(state.results.map(({ name }) => name), ui.result, 1) }),
   t: () => ui.other && ui.set({ compare: "flip", flipped: ui.compare === "flip" ? !ui.flipped : true }),
-  v: () => ui.set({ left: "view" }),
-  o: () => lf() && ui.set({ left: "refocused" }),
-  a: () => lf() && ui.set({ left: "sharp" }),
+  v: () => showLeftAs("view"),
+  o: () => lf() && showLeftAs("refocused"),
+  a: () => lf() && showLeftAs("sharp"),
   m: () => showPart("map"),
   d: () => showPart("space"),
   s: () => $("save-files").click(),
@@ -652,7 +720,7 @@ function pressed(event) {
     if (event.shiftKey) {
       const inside = (value, side) => Math.min(Math.max(value, 0), side - 1);
       ui.set({ pixel: [inside(ui.pixel[0] + arrow[0], state.size[1]), inside(ui.pixel[1] + arrow[1], state.size[0])] });
-    } else if (lf()) ui.set({ view: neighbour(lf(), ui.view, ...arrow), left: "view" });
+    } else if (lf()) chooseView(neighbour(lf(), ui.view, ...arrow));
   } else if (number >= 1 && number <= $("quantity").options.length) {
     ui.set({ quantity: $("quantity").options[number - 1].value });
   } else if (KEYS[event.key.toLowerCase()]) {

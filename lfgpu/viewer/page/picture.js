@@ -17,8 +17,9 @@ export class Picture {
   /**
    * @param canvas
    * @param viewport  shared by all pictures that move together
-   * @param on  { point(x, y or null), choose(x, y), wipe(share), overlay(context, place), complete(), next() }; `next`
-   *   gives the sources that are probably looked at next
+   * @param on  { point(x, y or null), choose(x, y), grasp(), drag(dx, dy, event), wipe(share), overlay(context, place), complete(),
+   *   next() }; `drag` returns whether it did something, else the picture moves; `next` gives the sources that are
+   *   probably looked at next
    */
   constructor(canvas, viewport, on) {
     Object.assign(this, { canvas, viewport, on, wipe: 0.5, isSharp: false });
@@ -72,12 +73,12 @@ export class Picture {
     const edge = second ? Math.round(place.left + this.wipe * first.size[1] * place.scale) : canvas.width;
     let complete = this.#drawPart(context, place, first, 0, edge, wishes);
     if (second) complete = this.#drawPart(context, place, second, edge, canvas.width, wishes) && complete;
-    if (complete && !first.isComputed) {
+    if (complete && !first.isComputed && !first.draw) {
       const next = this.on.next?.() ?? [];
       wishes.push(...next.flatMap((source) => wishes.slice().map(([, ...place]) => [source, ...place])));
     }
     want(this, wishes);
-    if (complete) this.#before = first;
+    if (complete && !first.draw) this.#before = first;
     this.#complete = complete;
     canvas.dataset.drawn = complete ? this.#sources.map(({ key, look }) => `${key} ${look}`).join(" / ") : "";
     Object.assign(canvas.dataset, { left: place.left, top: place.top, scale: place.scale });
@@ -93,10 +94,19 @@ export class Picture {
     context.beginPath();
     context.rect(from, 0, to - from, context.canvas.height);
     context.clip();
-    const draw = source.isComputed ? this.#drawComputed : this.#drawStored;
+    const draw = source.draw ? this.#drawWhole : source.isComputed ? this.#drawComputed : this.#drawStored;
     const complete = draw.call(this, context, place, source, wishes);
     context.restore();
     return complete;
+  }
+
+  /** Draw what the page draws itself, if that can be done yet. */
+  #drawWhole(context, place, source) {
+    const picture = source.draw();
+    context.imageSmoothingEnabled = place.scale < 2;
+    if (picture) context.drawImage(picture, place.left, place.top, place.width, place.height);
+    else this.#drawBefore(context, place, source.size);
+    return Boolean(picture);
   }
 
   /** Draw the tiles of a level that are seen and have come; returns whether all have. `wishes` gets all that are seen. */
@@ -227,6 +237,7 @@ export class Picture {
       this.#pointers.set(event.pointerId, spot);
       this.gesture = this.#pointers.size > 1 ? "pinch" : this.#onWipe(spot) ? "wipe" : "click";
       this.begin = spot;
+      this.on.grasp?.();
     });
     canvas.addEventListener("pointermove", (event) => {
       const spot = this.#spot(event), before = this.#pointers.get(event.pointerId);
@@ -244,7 +255,8 @@ export class Picture {
       } else {
         const far = Math.hypot(spot[0] - this.begin[0], spot[1] - this.begin[1]);
         if (this.gesture === "click" && far > CLICK * window.devicePixelRatio) this.gesture = "move";
-        if (this.gesture === "move") this.viewport.move(this, spot[0] - before[0], spot[1] - before[1]);
+        const by = [spot[0] - before[0], spot[1] - before[1]];
+        if (this.gesture === "move" && !this.on.drag?.(...by, event)) this.viewport.move(this, ...by);
       }
       this.#pointers.set(event.pointerId, spot);
     });

@@ -45,6 +45,12 @@ export function tile(source, level, column, row) {
   return found.canvas;
 }
 
+/** The numbers of a tile, { data, shape }; null if it has not come yet. */
+export function numbers(source, level, column, row) {
+  const found = known.get(keyOf(source, level, column, row));
+  return found?.data ? found : null;
+}
+
 /** Tell which tiles somebody wants now, the most urgent first; what it wanted before and has not begun is dropped. */
 export function want(asker, wishes) {
   waiting = waiting.filter((wish) => wish.asker !== asker);
