@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import preset
-from lfgpu.viewer import pictures, saving
+from lfgpu.viewer import pictures, probe, saving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
 from lfgpu.viewer.facts import COLOURS, fixed
@@ -66,9 +66,14 @@ def _lf(contents: Contents) -> LightField:
 def _values(contents: Contents, query: Query) -> NDArray[np.float32]:
     name, kind = query.text("result"), query.text("kind")
     values = contents.map(name, kind, query.text("stage", FINAL))
-    if values is None:
-        raise LightFieldError(f"there is no {kind} of {name!r}.")
-    return values
+    minus = query.text("minus", "")
+    other = contents.map(minus, kind) if minus else None
+    if values is None or (minus and other is None):
+        raise LightFieldError(f"there is no {kind} of {minus or name!r}.")
+    if other is None:
+        return values
+    with np.errstate(invalid="ignore"):  # both may be infinitely far away
+        return values - other
 
 
 def _at(contents: Contents, query: Query) -> Any:
@@ -85,6 +90,12 @@ def _at(contents: Contents, query: Query) -> Any:
         "values": pictures.values_at(contents, name, stage, *found),
         "other": pictures.values_at(contents, query.text("other", ""), FINAL, *found),
     }
+
+
+def _pixel(contents: Contents, query: Query, x: str, y: str) -> tuple[int, int]:
+    """Return a pixel of the maps, the nearest one to what is asked for."""
+    height, width = contents.size or (1, 1)
+    return int(np.clip(query.number(x), 0, width - 1)), int(np.clip(query.number(y), 0, height - 1))
 
 
 _TILE = ("level", "column", "row")
@@ -104,6 +115,11 @@ DATA: dict[str, Callable[[Contents, Query], Any]] = {
         of, query.text("result"), query.text("stage", FINAL), *query.wholes(*_TILE, "side")
     ),
     "at": _at,
+    "costs": lambda of, query: probe.costs(
+        of, query.text("result"), query.text("stage", FINAL), *_pixel(of, query, "x", "y")
+    ),
+    "seen": lambda of, query: probe.seen(_values(of, query), *query.wholes("left", "top", "right", "bottom")),
+    "difference": lambda of, query: probe.difference(_values(of, query)),
     "fixed": lambda *_: fixed(),
 }
 """Arrays to draw, and values for JSON, by what is asked for."""

@@ -185,7 +185,7 @@ def _light_field(lf: LightField) -> dict[str, Any]:
 
 
 def _exposure(lf: LightField) -> float:
-    """Find by how many stops a dark light field is shown brighter: until a hundredth of the reference is almost white."""
+    """Find by how many stops a dark light field is shown brighter: until 1 % of the reference is almost white."""
     few = lf.views[lf.reference_index, ::4, ::4].max(axis=-1)
     bright = float(np.quantile(few, 0.99)) * lf.scale
     return round(min(math.log2(0.9 / max(bright, 1e-3)), 6.0), 1) if bright < _DARK else 0.0

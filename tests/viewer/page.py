@@ -49,7 +49,9 @@ class Page:
 
     def pixels(self, name: str) -> np.ndarray:
         """A canvas, [y, x, 3]."""
-        data = self.tab.evaluate("id => document.getElementById(id).toDataURL()", name)
+        data = self.tab.evaluate(
+            "id => (e => e.querySelector('canvas') ?? e)(document.getElementById(id)).toDataURL()", name
+        )
         with Image.open(io.BytesIO(base64.b64decode(data.partition(",")[2]))) as image:
             return np.asarray(image.convert("RGB"))
 

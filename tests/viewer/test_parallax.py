@@ -46,8 +46,7 @@ def seen(page: Page) -> np.ndarray:
     """The pixels of the view, one of each of its squares."""
     left, top, scale = page.place("view")
     rows, columns = (
-        (start + (np.arange(side) + 0.5) * scale).astype(int)
-        for start, side in ((top, SIZE[0]), (left, SIZE[1]))
+        (start + (np.arange(side) + 0.5) * scale).astype(int) for start, side in ((top, SIZE[0]), (left, SIZE[1]))
     )
     return page.pixels("view")[np.ix_(rows, columns)].astype(int)
 

@@ -11,11 +11,12 @@ export class Epi {
    * @param canvas
    * @param along  "row" or "column"
    * @param view  the picture of the view
-   * @param now  () => { lf, pixel, disparity, look, current }
+   * @param now  () => { lf, pixel, disparity, tested, hidden, look, current }
    * @param choose  called with (index of a view, pixel along the EPI)
+   * @param test  called with the disparity of the line to where somebody drags
    */
-  constructor(canvas, along, view, now, choose) {
-    Object.assign(this, { canvas, along, view, now, choose, isRow: along === "row" });
+  constructor(canvas, along, view, now, choose, test) {
+    Object.assign(this, { canvas, along, view, now, choose, test, isRow: along === "row" });
     this.ask = newest((query) => array("epi", query), (found, query) => {
       this.#found = { ...found, at: query.at, key: query.key };
       this.draw();
@@ -27,7 +28,21 @@ export class Epi {
       this.draw();
     }).observe(canvas);
     view.viewport.onChange(() => this.draw());
-    canvas.addEventListener("click", (event) => this.#clicked(event));
+    let begin = null, isDrag = false;
+    canvas.addEventListener("pointerdown", (event) => {
+      begin = event;
+      isDrag = false;
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!begin || !event.buttons) return;
+      isDrag ||= Math.hypot(event.clientX - begin.clientX, event.clientY - begin.clientY) > 5;
+      if (isDrag) this.#dragged(event);
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      if (begin && !isDrag) this.#clicked(event);
+      begin = null;
+    });
   }
 
   /** Ask for the EPI through a pixel, of the views of a state of the server. */
@@ -56,7 +71,7 @@ export class Epi {
   }
 
   #drawNow() {
-    const { canvas, isRow } = this, context = canvas.getContext("2d"), { lf, pixel, disparity, look, current } = this.now();
+    const { canvas, isRow } = this, context = canvas.getContext("2d"), { lf, pixel, disparity, tested, hidden, look, current } = this.now();
     context.setTransform(1, 0, 0, 1, 0, 0);
     context.clearRect(0, 0, canvas.width, canvas.height);
     canvas.dataset.drawn = "";
@@ -74,18 +89,33 @@ export class Epi {
     context.imageSmoothingEnabled = false;
     context.drawImage(this.#found.epi, begin, start, shape[1] * place.scale, thick * views.length);
     const ratio = window.devicePixelRatio, axis = isRow ? 0 : 1;
-    if (Number.isFinite(disparity)) {
-      const points = views.map((index, k) => [
-        begin + (pixel[axis] + 0.5 - disparity * lf.offsets[index][axis]) * place.scale, start + (k + 0.5) * thick,
-      ]);
-      for (const [style, wide] of [["rgb(0 0 0 / 70%)", 5 * ratio], [mark(), 2.5 * ratio]]) {
+    const ahead = (value) => views.map((index, k) => [
+      begin + (pixel[axis] + 0.5 - value * lf.offsets[index][axis]) * place.scale, start + (k + 0.5) * thick,
+    ]);
+    const line = (value, styles) => {
+      if (!Number.isFinite(value)) return;
+      for (const [style, wide] of styles) {
         context.strokeStyle = style;
-        context.lineWidth = wide;
+        context.lineWidth = wide * ratio;
         context.beginPath();
-        points.forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
+        ahead(value).forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
         context.stroke();
       }
-    }
+    };
+    line(disparity, [["rgb(0 0 0 / 70%)", 5], [mark(), 2.5]]);
+    line(tested, [["rgb(0 0 0 / 70%)", 5], ["#fff", 2.5]]);
+    context.strokeStyle = "#fff"; // a cross where the map has something in front
+    if (Number.isFinite(disparity)) ahead(disparity).forEach(([x, y], k) => {
+      if (!hidden.includes(views[k])) return;
+      const arm = Math.min(5 * ratio, thick / 2);
+      for (const side of [-1, 1]) {
+        context.lineWidth = 2 * ratio;
+        context.beginPath();
+        context.moveTo(x - arm, y - side * arm);
+        context.lineTo(x + arm, y + side * arm);
+        context.stroke();
+      }
+    });
     const row = views.indexOf(current);
     if (row >= 0 && thick > 3) { // the view that is shown
       const length = Math.min(isRow ? canvas.width : canvas.height, shape[1] * place.scale);
@@ -96,16 +126,27 @@ export class Epi {
     canvas.dataset.drawn = `${this.#found.key} ${this.#found.at}`;
   }
 
-  #clicked(event) {
-    const { lf, pixel } = this.now();
-    if (!lf || !pixel || !this.#found) return;
+  /** Where somebody points: how many pixels along the EPI, and the view. */
+  #spot(event) {
     const box = this.canvas.getBoundingClientRect(), ratio = this.canvas.width / box.width;
     const spot = [(event.clientX - box.left) * ratio, (event.clientY - box.top) * ratio];
     if (!this.isRow) spot.reverse();
-    const views = this.#views(), place = this.view.viewport.place(this.view), { thick, start } = this.#layout(views.length);
-    const side = this.view.viewport.size[this.isRow ? 1 : 0];
-    const at = Math.floor((spot[0] - (this.isRow ? place.left : place.top)) / place.scale);
-    const row = Math.floor((spot[1] - start) / thick);
-    if (at >= 0 && at < side && row >= 0 && row < views.length) this.choose(views[row], at);
+    const place = this.view.viewport.place(this.view), { thick, start } = this.#layout(this.#views().length);
+    return [(spot[0] - (this.isRow ? place.left : place.top)) / place.scale, Math.floor((spot[1] - start) / thick)];
+  }
+
+  #dragged(event) {
+    const { lf, pixel } = this.now();
+    if (!lf || !pixel) return;
+    const views = this.#views(), axis = this.isRow ? 0 : 1, [at, row] = this.#spot(event);
+    const step = lf.offsets[views[Math.min(Math.max(row, 0), views.length - 1)]][axis];
+    if (Math.abs(step) > 0.5) this.test((pixel[axis] + 0.5 - at) / step);
+  }
+
+  #clicked(event) {
+    const { lf, pixel } = this.now();
+    if (!lf || !pixel || !this.#found) return;
+    const views = this.#views(), side = this.view.viewport.size[this.isRow ? 1 : 0], [at, row] = this.#spot(event);
+    if (at >= 0 && at < side && row >= 0 && row < views.length) this.choose(views[row], Math.floor(at));
   }
 }

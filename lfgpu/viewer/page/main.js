@@ -1,18 +1,19 @@
 // The page of the viewer: what is shown follows from the state of the server and from what was chosen in this tab.
 
 import { drawScale } from "./colourbar.js";
-import { learn, paintMap, paintView } from "./colours.js";
+import { css, learn, paintMap, paintView } from "./colours.js";
 import { $, element, fill, number, orTell, tell } from "./elements.js";
 import { Epi } from "./epi.js";
 import { Estimate } from "./estimate.js";
 import { setUpFiles } from "./files.js";
 import { Film } from "./film.js";
-import { Histogram } from "./histogram.js";
-import { Picture, drawCross } from "./picture.js";
-import { act, connect, newest, values } from "./server.js";
+import { Picture, drawCross, drawDot } from "./picture.js";
+import { act, array, connect, newest, values } from "./server.js";
+import { Sight } from "./sight.js";
 import { Space } from "./space.js";
 import { Store } from "./store.js";
 import { Thumbnails, neighbour } from "./thumbnails.js";
+import { Plot } from "./plots.js";
 import { Parallax, Sway } from "./parallax.js";
 import { coarsest, numbers, onArrival, tile, want } from "./tiles.js";
 import { Viewport } from "./viewport.js";
@@ -28,7 +29,9 @@ let state = null; // of the server
 const ui = new Store({
   view: 0, camera: null, // [du, dv] of one between the views
   sway: null, pixel: null, found: null, hover: null, // found: the values at the pixel
-  quantity: "disparity", result: NOTHING, stage: FINAL, other: NOTHING, compare: "wipe", flipped: false,
+  tested: null, costs: null, // a disparity that is tried at the pixel, and what all of them cost there
+  quantity: "disparity", result: NOTHING, stage: FINAL, other: NOTHING, third: NOTHING, fourth: NOTHING, compare: "wipe", flipped: false,
+  difference: null, plot: "values", alone: null, widths: {}, // of the settings, pixels, and of the views, shares
   colourMaps: {}, ranges: {}, // of each quantity, where they were changed
   exposure: 0, gamma: 1, left: "view", right: "map", focus: 0, aperture: 0,
   mesh: false, paint: PICTURE, metric: true, least: 0.5, size: 1.3, background: "page", cameras: false,
@@ -40,7 +43,15 @@ const lf = () => state?.lightField ?? null;
 const entry = (name) => state?.results.find((one) => one.name === name) ?? null;
 const look = () => ({ exposure: ui.exposure, gamma: ui.gamma });
 
-function scale(kind = ui.quantity) {
+const OTHERS = ["other", "third", "fourth"];
+const isMinus = () => ui.compare === "minus" && Boolean(mapSource(ui.other));
+const kindShown = () => (isMinus() ? "difference" : ui.quantity);
+
+function scale(kind = kindShown()) {
+  if (kind === "difference") {
+    const [low, high] = ui.ranges.difference ?? ui.difference?.limits ?? [-0.07, 0.07];
+    return { colours: ui.colourMaps.difference ?? fixed.quantities.error.colours, low, high, extent: ui.difference?.extent };
+  }
   const known = state?.scales[kind], [low, high] = ui.ranges[kind] ?? known?.limits ?? [0, 1];
   return { colours: ui.colourMaps[kind] ?? fixed.quantities[kind].colours, low, high, extent: known?.extent };
 }
@@ -55,6 +66,19 @@ function mapSource(name, kind = ui.quantity, stage = FINAL) {
     paint: (data, shape) => paintMap(data, shape, { colours, low, high }),
   };
 }
+
+/** The first map minus the second one. */
+function differenceSource() {
+  const first = mapSource(ui.result, ui.quantity, ui.stage), second = mapSource(ui.other);
+  if (!first || !second) return null;
+  const { colours, low, high } = scale("difference");
+  return {
+    ...first, key: `${first.key} minus ${second.key}`, query: { ...first.query, minus: ui.other }, look: `${colours} ${low} ${high}`,
+    paint: (data, shape) => paintMap(data, shape, { colours, low, high }),
+  };
+}
+
+const shownSource = () => (isMinus() ? differenceSource() : mapSource(ui.result, ui.quantity, ui.stage));
 
 function viewSource(index = ui.view) {
   if (!lf()) return null;
@@ -144,8 +168,10 @@ const view = new Picture($("view"), viewport, {
     if (ui.left === "refocused" && Number.isFinite(disparity)) ui.set({ focus: disparity });
   }),
   overlay: (context, place) => {
-    const at = isOfReference() ? ui.pixel : pixelInView();
+    const at = isOfReference() ? ui.pixel : pixelInView(), over = ui.hover?.pane === "right" && ui.hover.pixel;
     if (at) drawCross(context, place, ...at);
+    const [du, dv] = offsetOf("left"), disparity = ui.hover?.values?.disparity ?? NaN;
+    if (over && (Number.isFinite(disparity) || !(du || dv))) drawDot(context, place, over[0] - (du && disparity * du), over[1] - (dv && disparity * dv));
   },
   drag: (dx, dy, { shiftKey }) => {
     if (isOfReference() || (viewport.zoom > 1.001) !== shiftKey) return false;
@@ -164,19 +190,30 @@ const onMap = {
     map.wipe = share;
     map.draw();
   },
-  overlay: (context, place) => ui.pixel && drawCross(context, place, ...ui.pixel),
+  overlay: (context, place) => {
+    if (ui.pixel) drawCross(context, place, ...ui.pixel);
+    if (ui.hover?.pixel) drawDot(context, place, ...ui.hover.pixel);
+  },
   complete: () => takeLater(),
 };
-const map = new Picture($("map"), viewport, onMap), otherMap = new Picture($("other-map"), viewport, onMap);
-onArrival(() => [view, map, otherMap].forEach((one) => one.draw()));
+const map = new Picture($("map"), viewport, onMap), otherMaps = OTHERS.map((name) => new Picture($(`${name}-map`), viewport, onMap));
+const pictures = [view, map, ...otherMaps];
+onArrival(() => pictures.forEach((one) => one.draw()));
 
-const epiState = () => ({ lf: lf(), pixel: ui.pixel, disparity: ui.found?.values.disparity, look: look(), current: ui.left === "view" && !ui.camera ? ui.view : -1 });
+const epiState = () => ({ lf: lf(), pixel: ui.pixel, disparity: ui.found?.values.disparity, tested: ui.tested, hidden: ui.plot === "costs" && ui.costs ? ui.costs.hidden : [], look: look(), current: ui.left === "view" && !ui.camera ? ui.view : -1 });
 const epis = [
-  new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], lf().offsets[index], 1)),
-  new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, lf().offsets[index], 0)),
+  new Epi($("epi-row"), "row", view, epiState, (index, x) => choose(x, ui.pixel[1], lf().offsets[index], 1), testDisparity),
+  new Epi($("epi-column"), "column", view, epiState, (index, y) => choose(ui.pixel[0], y, lf().offsets[index], 0), testDisparity),
 ];
-const histogram = new Histogram($("histogram"), () => takeLater());
-const film = new Film(() => state, () => [view, map, otherMap].every((one) => one.isComplete));
+const plot = new Plot($("plot"));
+const histogram = new Plot($("histogram"), (low, high) => ui.set({ ranges: { ...ui.ranges, [kindShown()]: [low, high] } }));
+const askBars = newest((query) => array("histogram", query), ({ data }, { key }) => {
+  bars = { data: [...data], key };
+  showHistogram();
+  takeLater();
+});
+let bars = null; // shares of the pixels, per cent
+const film = new Film(() => state, () => pictures.every((one) => one.isComplete));
 const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: ui.view, look: look() }), chooseView);
 
 /** Where the camera of what a pane shows stands. */
@@ -192,9 +229,31 @@ async function choose(x, y, offset, keep = -1) {
       return found;
     }
     const pixel = keep < 0 ? found.pixel : found.pixel.map((value, axis) => (axis === keep ? ui.pixel[keep] : value));
-    ui.set({ pixel });
+    ui.set({ pixel, tested: null });
     return found;
   });
+}
+
+function testDisparity(tested) {
+  ui.set({ tested, plot: "costs", ...(ui.left === "refocused" ? { focus: tested } : {}) });
+}
+
+const askCosts = newest((query) => values("costs", query), (costs, { key }) => ui.set({ costs: { ...costs, key } }));
+const askDifference = newest((query) => values("difference", query), (found, { key }) => ui.set({ difference: { ...found, key } }));
+
+/** What is drawn of the chosen pixel under the map. */
+function showPlot() {
+  const one = entry(ui.result), isCosts = ui.plot === "costs" && Boolean(lf() && ui.pixel && one);
+  $("plot").hidden = !isCosts;
+  select("plot-tabs", ui.plot);
+  const key = isCosts && `${state.views} ${one.identity} ${ui.stage} ${ui.pixel}`;
+  if (isCosts && ui.costs?.key !== key) askCosts({ ...here(...ui.pixel, [0, 0]), key });
+  const known = isCosts && ui.costs, { found, uncertainty } = known || {}, tested = ui.tested === null ? [] : [{ at: ui.tested, dashed: true }];
+  plot.show(known ? {
+    key: `costs ${known.key} ${ui.tested ?? ""}`, x: known.disparities, unit: "disparity, px",
+    lines: [{ label: "difference to all views, of 255", values: known.mean, faint: true }, { label: "to the better half", values: known.best }],
+    marks: [...(found === null ? [] : [{ at: found }]), ...tested], band: found !== null && uncertainty ? [found - uncertainty, found + uncertainty] : null,
+  } : null);
 }
 
 const askHover = newest((query) => values("at", query), (found, query) => {
@@ -209,7 +268,7 @@ function point(pane, x, y) {
 
 /** What the readout, the histogram and the pictures say is of this state. */
 const isToldOf = ({ revision }) => (!ui.pixel || ui.found?.of === revision)
-  && [view, map, otherMap, histogram].every((one) => one.isComplete);
+  && [...pictures, histogram].every((one) => one.isComplete);
 
 const askFound = newest((query) => values("at", query), (found, { of }) => ui.set({ found: { ...found, of } }));
 
@@ -220,21 +279,46 @@ function findPixel() {
 
 // --- where things stand ---
 
-const GAP = 6, BAR = 68, LEAST_HISTOGRAM = 96; // pixels
+const GAP = 6, BAR = 68, LEAST_PLOT = 132; // pixels
+const BEYOND = 0.12; // of a range: how much more the distribution shows on either side
 
-/** The view as large as it can be, the EPIs directly under and beside it. */
-function layoutViews() {
+const outer = (box, ...except) => [...box.children].filter((child) => child !== box && !except.includes(child)).reduce((sum, child) => sum + child.offsetHeight, 0);
+
+/** Room for the view and the EPIs directly under and beside it, and the scale at which they fit. */
+function roomForViews() {
   const light = lf(), box = $("cross").parentElement;
-  if (!light || !box.offsetParent) return;
+  if (!light || !box.offsetParent) return null;
   const [height, width] = state.size, style = getComputedStyle($("cross"));
   const least = Math.min(96, Math.max(56, box.clientHeight / 8));
   const thickness = (count) => (count < 2 ? 0 : least + GAP);
   const across = box.clientWidth - parseFloat(style.marginLeft) - parseFloat(style.marginRight);
-  const taken = [...box.children].filter((child) => child !== $("cross")).reduce((sum, child) => sum + child.offsetHeight, 0);
-  const down = box.clientHeight - taken - parseFloat(style.marginBottom);
+  const down = box.clientHeight - outer(box, $("cross")) - parseFloat(style.marginBottom);
   const row = thickness(light.row.length), column = thickness(light.column.length);
-  const scale = Math.max(0.01, Math.min((across - column) / width, (down - row) / height));
-  const [wide, high] = [Math.floor(width * scale), Math.floor(height * scale)];
+  return { across, down, row, column, scale: Math.max(0.01, Math.min((across - column) / width, (down - row) / height)) };
+}
+
+/** Room for some maps, and the scale at which they fit. */
+function roomForMaps(count) {
+  const box = $("maps"), pane = box.parentElement;
+  if (!box.offsetParent || !state?.size) return null;
+  const others = outer(pane, box, $("plots"));
+  const below = pane.clientHeight > 480 && ui.plot && count === 1 ? LEAST_PLOT : 30;
+  const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - below - 2 * GAP;
+  const fit = (columns, rows) => Math.min((across - (columns - 1) * GAP) / columns / width, (down - (rows - 1) * GAP) / rows / height);
+  const best = [1, 2, 3, 4].map((columns) => [columns, Math.ceil(count / columns)]).sort((a, b) => fit(...b) - fit(...a))[0];
+  return { columns: best[0], rows: best[1], scale: Math.max(0.01, fit(...best)) };
+}
+
+/** View and map at the same scale, as large as they can be. */
+function layout() {
+  const isSide = mapsBeside().length > 1, views = roomForViews(), maps = roomForMaps(isSide ? mapsBeside().length : 1);
+  const common = views && maps ? Math.min(views.scale, maps.scale) : (views ?? maps)?.scale;
+  if (views) layoutViews(views, common);
+  if (maps) layoutMaps(maps, common);
+}
+
+function layoutViews({ across, down, row, column }, scale) {
+  const light = lf(), [high, wide] = state.size.map((side) => Math.floor(side * scale));
   const rest = (room, count) => {
     const side = Math.min(count * 32, 340, room - GAP);
     return side > count ? count * Math.floor(side / count) : Math.floor(side);
@@ -245,19 +329,33 @@ function layoutViews() {
     + ` / ${[wide, ...(column ? [rest(across - wide, light.column.length)] : [])].map((side) => `${side}px`).join(" ")}`;
 }
 
-/** One map or two as large as they can be, with the scale beside them. */
-function layoutMaps(count) {
-  const box = $("maps"), pane = box.parentElement;
-  if (!box.offsetParent || !state?.size) return;
-  const others = [...pane.children].filter((child) => child !== box && child !== $("histogram")).reduce((sum, child) => sum + child.offsetHeight, 0);
-  const below = pane.clientHeight > 480 ? LEAST_HISTOGRAM : 0;
-  const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - below - 2 * GAP;
-  const fit = (columns, rows) => Math.min((across - (columns - 1) * GAP) / columns / width, (down - (rows - 1) * GAP) / rows / height);
-  const isBeside = count > 1 && fit(2, 1) >= 0.7 * fit(1, 2); // one below the other if they are much larger so
-  const [columns, rows] = count === 1 ? [1, 1] : isBeside ? [2, 1] : [1, 2];
-  const scale = Math.max(0.01, fit(columns, rows)), repeat = (times, side) => `repeat(${times}, ${Math.floor(side * scale)}px)`;
-  box.style.gridTemplate = `${repeat(rows, height)} / ${repeat(columns, width)} ${BAR}px`;
+function layoutMaps({ columns, rows }, scale) {
+  const [height, width] = state.size, repeat = (times, side) => `repeat(${times}, ${Math.floor(side * scale)}px)`;
+  $("maps").style.gridTemplate = `${repeat(rows, height)} / ${repeat(columns, width)} ${BAR}px`;
   $("colour-bar").style.gridArea = `1 / ${columns + 1} / ${rows + 1} / ${columns + 2}`;
+}
+
+/** How wide the parts are, and whether the maps are alone: so they are when some are compared side by side. */
+function showWidths() {
+  const main = document.querySelector("main"), isAlone = Boolean(lf()) && (ui.alone ?? mapsBeside().length > 1);
+  main.classList.toggle("alone", isAlone);
+  $("alone").setAttribute("aria-pressed", isAlone);
+  $("alone").hidden = !lf();
+  main.style.setProperty("--aside", ui.widths.aside === undefined ? "" : `${ui.widths.aside}px`);
+  main.style.setProperty("--left", ui.widths.left === undefined ? "" : `${ui.widths.left}fr`);
+  layout();
+}
+
+for (const gutter of document.querySelectorAll(".gutter")) {
+  gutter.onpointerdown = (event) => gutter.setPointerCapture(event.pointerId);
+  gutter.onpointermove = ({ clientX, buttons }) => {
+    const { left, right } = (gutter.dataset.name === "aside" ? document.querySelector("main") : $("left")).getBoundingClientRect();
+    if (!buttons) return;
+    const end = $("right").getBoundingClientRect().right, share = Math.min(0.8, Math.max(0.2, (clientX - left) / (end - left)));
+    const width = gutter.dataset.name === "left" ? share / (1 - share) : clientX - left < 120 ? 0 : Math.min(clientX - left, 520, right / 2);
+    ui.set({ widths: { ...ui.widths, [gutter.dataset.name]: width } });
+  };
+  gutter.ondblclick = () => ui.set({ widths: { ...ui.widths, [gutter.dataset.name]: gutter.dataset.name === "aside" && ui.widths.aside === undefined ? 0 : undefined } });
 }
 
 // --- drawing what has changed ---
@@ -271,7 +369,7 @@ function showLeft() {
   $("focus").nextElementSibling.textContent = `${short(ui.focus)} px`;
   $("aperture").nextElementSibling.textContent = `${short(ui.aperture)} steps`;
   select("left-tabs", ui.left);
-  layoutViews();
+  layout();
   const title = $("left-title");
   if (!lf()) title.textContent = state ? "No light field" : "";
   else if (ui.left === "refocused") title.textContent = "Click to focus there";
@@ -311,21 +409,27 @@ function showThumbnails() {
 
 const named = (name, stage = FINAL) => `${entry(name)?.isTruth ? "ground truth" : name}${stage === FINAL ? "" : `, after ${stage}`}`;
 
+/** The maps that stand beside each other: names, the first one first. */
+const mapsBeside = () => (ui.compare === "side" ? [ui.result, ...OTHERS.map((name) => ui[name])].filter((name) => entry(name)) : [ui.result]);
+
 function showMaps() {
-  const one = entry(ui.result), other = entry(ui.other), quantity = fixed.quantities[ui.quantity];
+  const one = entry(ui.result), other = entry(ui.other), quantity = fixed.quantities[ui.quantity], beside = mapsBeside();
   const first = mapSource(ui.result, ui.quantity, ui.stage), second = other && mapSource(ui.other);
-  const mode = second ? ui.compare : "one";
-  const isSide = mode === "side";
-  $("other-box").hidden = !isSide;
-  layoutMaps(isSide ? 2 : 1);
+  const mode = second ? ui.compare : "one", minus = mode === "minus" && differenceSource();
+  otherMaps.forEach((picture, k) => {
+    const name = beside[k + 1];
+    picture.canvas.parentElement.hidden = !name;
+    picture.canvas.nextElementSibling.textContent = name ? named(name) : "";
+    picture.show(name ? mapSource(name) : null);
+  });
+  showWidths();
+  if (minus && ui.difference?.key !== minus.key) askDifference({ ...minus.query, key: minus.key });
   if (mode === "wipe") map.show(first, second);
-  else map.show(mode === "flip" && ui.flipped ? second : first);
-  otherMap.show(isSide ? second : null);
+  else map.show(minus || (mode === "flip" && ui.flipped ? second : first));
   const firstName = mode === "flip" && ui.flipped ? named(ui.other) : one && named(ui.result, ui.stage);
-  label("map-label", one && (mode === "wipe" ? `◀ ${firstName}` : firstName));
+  label("map-label", one && (mode === "wipe" ? `◀ ${firstName}` : minus ? `${firstName} − ${named(ui.other)}` : firstName));
   const lacks = other?.isTruth && ui.quantity === "error" ? "errors are against the ground truth" : `${named(ui.other)} has no ${quantity.label.toLowerCase()}`;
   label("wipe-label", mode === "wipe" ? `${named(ui.other)} ▶` : other && !second && lacks);
-  label("other-label", isSide && named(ui.other));
   label("map-note", !one && `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   const unit = quantity.unit && ` (${quantity.unit})`, hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
   if (ui.right === "space" && one) {
@@ -339,6 +443,10 @@ function showMaps() {
     if (one.isTruth && !state.results.some((each) => !each.isTruth)) $("right-title").append("; no estimate yet");
     else if (one.earlier) $("right-title").append("; of another frame");
   }
+  if (minus && ui.difference) {
+    const shares = ui.difference.shares.map(([threshold, share]) => `${short(share)} % > ${threshold}`).join(", ");
+    $("right-title").replaceChildren(element("b", { textContent: "Difference" }), ` ${shares}`);
+  }
   $("right-title").title = hint;
   space.note(one ? "" : `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   showHistogram();
@@ -349,7 +457,8 @@ function showMaps() {
   for (const [id, value] of [["low", low], ["high", high]]) {
     if (document.activeElement !== $(id)) $(id).value = roundedTo((high - low) / 1000, value);
   }
-  $("auto").disabled = !ui.ranges[ui.quantity];
+  $("seen").disabled = !shownSource();
+  $("auto").disabled = !ui.ranges[kindShown()];
 }
 
 function showSpaceScale() {
@@ -365,12 +474,21 @@ function roundedTo(apart, value) {
 
 /** How the values of the map are distributed, with that of the chosen pixel. */
 function showHistogram() {
-  const source = mapSource(ui.result, ui.quantity, ui.stage), quantity = fixed.quantities[ui.quantity];
-  $("histogram").hidden = !source || ui.right === "space";
-  histogram.show(source && {
-    key: source.key, query: source.query, scale: scale(), value: ui.found?.values[ui.quantity] ?? NaN,
-    title: `Distribution of ${quantity.label.toLowerCase()}`,
-  });
+  const source = shownSource(), isShown = source && ui.right !== "space";
+  $("plots").hidden = !isShown;
+  $("plots").classList.toggle("folded", !ui.plot);
+  $("histogram").hidden = ui.plot !== "values";
+  const { values = {}, other = {} } = ui.found ?? {}, value = values[ui.quantity] ?? NaN, isWanted = isShown && ui.plot === "values";
+  const { colours, low, high, extent = [low, high] } = scale(), margin = BEYOND * (high - low), count = Math.max(16, Math.min(256, $("histogram").clientWidth >> 2));
+  const from = Math.max(low - margin, Math.min(low, extent[0])), to = Math.min(high + margin, Math.max(high, extent[1]));
+  const key = isWanted && `${source.key} ${from} ${to} ${count}`;
+  if (isWanted && to > from && $("histogram").clientWidth && bars?.key !== key) askBars({ ...source.query, low: from, high: to, bins: count, key });
+  const x = Array.from({ length: count }, (_, k) => from + ((k + 0.5) / count) * (to - from)), point = isMinus() ? value - (other[ui.quantity] ?? NaN) : value;
+  histogram.show(isWanted ? {
+    key, x, unit: "%", range: [low, high], marks: Number.isFinite(point) ? [{ at: point }] : [],
+    lines: bars?.key === key ? [{ values: bars.data, faint: true, fills: x.map((each) => css(colours, (each - low) / (high - low))) }] : [],
+  } : null);
+  showPlot();
 }
 
 function label(id, text) {
@@ -385,7 +503,8 @@ function showChoices() {
   fill($("quantity"), quantities.map(([name, { label }]) => [name, label]), ui.quantity);
   const names = state.results.map(({ name, isTruth, earlier }) => [name, isTruth ? "ground truth" : earlier ? `${name} (another frame)` : name]);
   fill($("result"), names.length ? names : [[NOTHING, "none yet"]], ui.result);
-  fill($("other"), [[NOTHING, "nothing"], ...names.filter(([name]) => name !== ui.result)], ui.other);
+  for (const name of OTHERS) fill($(name), [[NOTHING, "nothing"], ...names.filter(([each]) => each !== ui.result)], ui[name]);
+  $("more").hidden = !ui.other || ui.compare !== "side" || names.length < 3;
   const one = entry(ui.result);
   fill($("stage"), [[FINAL, FINAL], ...(one?.stages ?? []).map((stage) => [stage, `after ${stage}`])], ui.stage);
   $("stage").parentElement.hidden = !one?.stages.length;
@@ -438,6 +557,7 @@ function showReadout() {
     if (inView) said.push(part("in the view", `${at.shown[0]}, ${at.shown[1]}`, ""));
     const pixel = at.pixel ? `${at.pixel[0]}, ${at.pixel[1]}` : "not in the map";
     said.push(part(at.pane ? (inView ? "in the reference" : "x, y") : "chosen x, y", pixel, ""));
+    if (ui.tested !== null && !at.pane) said.push(part("tested", number(ui.tested), "px"));
     if (entry(ui.result)?.isTruth) said.push(part("of the", named(ui.result), ""));
     for (const [kind, value] of Object.entries(at.values)) {
       const { label, unit } = fixed.quantities[kind];
@@ -465,16 +585,22 @@ ui.on("view camera exposure gamma", showThumbnails);
 ui.on("pixel exposure gamma", showEpis);
 ui.on("pixel result stage other", findPixel);
 ui.on("found view camera left", () => {
-  [view, map, otherMap].forEach((one) => one.draw());
+  pictures.forEach((one) => one.draw());
   epis.forEach((one) => one.draw());
   showHistogram();
 });
-ui.on("quantity result stage other compare flipped colourMaps ranges right mesh paint", showMaps);
-ui.on("quantity result stage other compare metric paint", showChoices);
+ui.on("quantity result stage other third fourth compare flipped colourMaps ranges right mesh paint difference plot", showMaps);
+ui.on("alone widths plot", showWidths);
+ui.on("costs tested pixel", () => {
+  showPlot();
+  pictures.concat(epis).forEach((one) => one.draw());
+});
+ui.on("quantity result stage other third fourth compare metric paint", showChoices);
 ui.on("result", showFindings);
 ui.on("exposure gamma least size", showSliders);
 ui.on("right", showParts);
-ui.on("hover found other quantity", showReadout);
+ui.on("hover found other quantity tested", showReadout);
+ui.on("hover", () => pictures.forEach((one) => one.draw()));
 
 // --- the state of the server ---
 
@@ -514,6 +640,11 @@ function takeNow(next) {
   }
   // all at once: a view of the last light field may not be one of this
   ui.set({ ...(other && state.size ? beginning() : {}), ...chosenMaps(before, other) });
+  if (!sight && state.size) {
+    const hash = location.hash.slice(1);
+    sight = new Sight(ui, viewport, () => !home && !state.frame, applySight);
+    sight.open(hash);
+  }
   const span = state.scales.disparity?.limits ?? [-3, 3], margin = 0.2 * (span[1] - span[0]);
   [$("focus").min, $("focus").max] = [span[0] - margin, span[1] + margin];
   $("left").hidden = !lf();
@@ -542,6 +673,18 @@ function takeNow(next) {
   }
   estimate.progress(state.progress, Boolean(lf()));
   space.refresh();
+}
+
+let sight = null;
+
+/** Show what a link says, as far as it is there. */
+function applySight(values) {
+  const [height, width] = state.size, inside = ([x, y]) => x >= 0 && y >= 0 && x < width && y < height;
+  if (!lf()?.offsets[values.view]) Object.assign(values, { view: lf()?.reference ?? 0, camera: null });
+  if (!values.pixel || !inside(values.pixel)) values.pixel = ui.pixel;
+  for (const name of ["result", ...OTHERS]) if (!entry(values[name])) values[name] = name === "result" ? ui.result : NOTHING;
+  ui.set(values);
+  ui.set(chosenMaps(state, false));
 }
 
 /** What a tab shows of a light field that it has not shown before. */
@@ -629,7 +772,7 @@ const slide = (id, name) => ($(id).oninput = () => ui.set({ [name]: $(id).valueA
 pick("quantity", "quantity");
 pick("result", "result");
 pick("stage", "stage");
-pick("other", "other");
+for (const name of OTHERS) pick(name, name);
 pick("space-paint", "paint");
 pick("space-background", "background");
 pick("space-mesh", "mesh", Boolean);
@@ -640,12 +783,17 @@ slide("space-size", "size");
 $("space-cameras").onchange = () => ui.set({ cameras: $("space-cameras").checked });
 $("space-start").onclick = () => space.startOver();
 $("as-stored").onclick = () => ui.set({ exposure: 0, gamma: 1 });
-$("colours").onchange = () => ui.set({ colourMaps: { ...ui.colourMaps, [ui.quantity]: $("colours").value } });
-$("auto").onclick = () => ui.set({ ranges: { ...ui.ranges, [ui.quantity]: null } });
+$("colours").onchange = () => ui.set({ colourMaps: { ...ui.colourMaps, [kindShown()]: $("colours").value } });
+$("auto").onclick = () => ui.set({ ranges: { ...ui.ranges, [kindShown()]: null } });
+$("seen").onclick = () => orTell(async () => {
+  const { left, top, scale: size } = viewport.place(map), { width, height } = map.canvas, at = (start, room) => Math.round((room - start) / size);
+  const { limits } = await values("seen", { ...shownSource().query, left: at(left, 0), top: at(top, 0), right: at(left, width), bottom: at(top, height) });
+  ui.set({ ranges: { ...ui.ranges, [kindShown()]: limits } });
+});
 for (const id of ["low", "high"]) {
   $(id).onchange = () => {
     const [low, high] = [$("low").valueAsNumber, $("high").valueAsNumber];
-    if (low < high) ui.set({ ranges: { ...ui.ranges, [ui.quantity]: [low, high] } });
+    if (low < high) ui.set({ ranges: { ...ui.ranges, [kindShown()]: [low, high] } });
     else tell("The range must go from a smaller to a larger number.");
   };
 }
@@ -656,6 +804,9 @@ function showLeftAs(left) {
 }
 press("left-tabs", showLeftAs);
 press("right-tabs", (value) => ui.set({ right: value }));
+$("plot-tabs").onclick = ({ target }) => "value" in target.dataset && ui.set({ plot: target.dataset.value || (ui.plot ? "" : "values") });
+const toggleAlone = () => ui.set({ alone: !document.querySelector("main").classList.contains("alone") });
+$("alone").onclick = toggleAlone;
 press("compare", (value) => ui.set({ compare: value, flipped: value === "flip" && !ui.flipped }));
 document.querySelector("nav").onclick = (event) => event.target.dataset.value && showPart(event.target.dataset.value);
 
@@ -693,6 +844,8 @@ const KEYS = {
   ",": () => film.step(-1),
   ".": () => film.step(1),
   p: () => film.toggle(),
+  x: toggleAlone,
+  escape: () => ui.set({ tested: null }),
   "?": () => $("help").showModal(),
 };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -711,6 +864,10 @@ const CHOICES = "select, [type=checkbox], [type=range]";
 function pressed(event) {
   const field = event.target.closest?.("input, select, textarea"), isChosen = isPointing && field?.matches(CHOICES);
   isPointing = false;
+  if ((event.ctrlKey || event.metaKey) && event.key === "z" && !(field && !field.matches(CHOICES))) {
+    event.preventDefault();
+    sight?.undo();
+  }
   if (event.ctrlKey || event.metaKey || event.altKey || document.querySelector("dialog[open]")) return;
   if (isChosen) field.blur();
   else if (field) return;
@@ -737,10 +894,8 @@ function placeThumbnails() {
 }
 phone.addEventListener("change", placeThumbnails);
 placeThumbnails();
-const roomForMaps = new ResizeObserver(() => state && showMaps());
-roomForMaps.observe($("right"));
-roomForMaps.observe($("results"));
-new ResizeObserver(layoutViews).observe($("left"));
+const resized = new ResizeObserver(() => state && showMaps());
+for (const name of ["left", "right", "results", "histogram"]) resized.observe($(name));
 new ResizeObserver(() => state && showSpaceScale()).observe($("space-bar"));
 dark.addEventListener("change", () => {
   showMaps();

@@ -22,7 +22,7 @@ export class Picture {
    *   probably looked at next
    */
   constructor(canvas, viewport, on) {
-    Object.assign(this, { canvas, viewport, on, wipe: 0.5, isSharp: false });
+    Object.assign(this, { canvas, viewport, on, wipe: 0.36, isSharp: false });
     viewport.onChange(() => this.draw());
     new ResizeObserver(() => this.#resized()).observe(canvas);
     this.#listen();
@@ -317,6 +317,18 @@ export function drawCross(context, place, x, y) {
     context.stroke();
   }
   context.restore();
+}
+
+/** A dot on a pixel of a picture: where somebody points in another one. */
+export function drawDot(context, place, x, y) {
+  const ratio = window.devicePixelRatio;
+  context.beginPath();
+  context.arc(place.left + (x + 0.5) * place.scale, place.top + (y + 0.5) * place.scale, 4 * ratio, 0, 7);
+  context.fillStyle = "#fff";
+  context.fill();
+  context.lineWidth = 1.5 * ratio;
+  context.strokeStyle = "#000";
+  context.stroke();
 }
 
 function drawNote(context, text) {

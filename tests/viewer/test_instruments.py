@@ -1,0 +1,195 @@
+"""The EPI as an instrument, the cost at a pixel, maps beside and minus each other, and parts that move."""
+
+from __future__ import annotations
+
+from typing import Any
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
+from lfgpu.viewer import Viewer, probe
+from lfgpu.viewer.contents import Contents, Entry
+from tests.browser import until
+from tests.viewer.page import SIZE, Page, marked
+
+
+def test_costs_are_least_at_the_truth_and_hidden_views_are_told(lf: LightField) -> None:
+    """Every value beside one pixel by hand; and views in which a near square stands before a far wall."""
+    truth = lf.reference_truth()
+    assert truth is not None
+    found = probe.costs(Contents(lf, {"a": Entry(DisparityMap(truth.disparity))}), "a", "final", 30, 20)
+    tried, mean = np.array(found["disparities"]), np.array(found["mean"])
+    assert abs(tried[np.argmin(mean)] - truth.disparity[20, 30]) < 0.15
+    zero = int(np.argmin(np.abs(tried)))
+    shift = tried[zero]
+    views = lf.views.astype(float)
+    expected = []
+    for index, (du, dv) in enumerate(lf.offsets):
+        if index == lf.reference_index:
+            continue
+        there = []
+        for y in (19, 20, 21):
+            for x in (29, 30, 31):
+                px, py = x - shift * du, y - shift * dv
+                x0, y0 = int(px), int(py)
+                a, b = px - x0, py - y0
+                square = views[index, y0 : y0 + 2, x0 : x0 + 2]
+                value = (
+                    square[0, 0] * (1 - a) * (1 - b) + square[0, 1] * a * (1 - b)
+                    + square[1, 0] * (1 - a) * b + square[1, 1] * a * b
+                )  # fmt: skip
+                there.append(np.abs(value - views[lf.reference_index, y, x]).mean())
+        expected.append(np.mean(there))
+    assert mean[zero] == pytest.approx(np.mean(expected), rel=1e-6)
+    disparity = np.full(SIZE, -1.0, np.float32)
+    disparity[10:30, 20:30] = 3.0
+    hidden = probe.costs(Contents(lf, {"a": Entry(DisparityMap(disparity))}), "a", "final", 32, 20)["hidden"]
+    # in the view two to the left the square is six pixels farther right, and the point two farther left
+    assert set(hidden) == {n for n, (du, _) in enumerate(lf.offsets) if 20 - 3 * du <= 32 + du < 30 - 3 * du}
+
+
+def test_dragging_an_epi_tests_a_disparity(page: Page, viewer: Viewer, lf: LightField) -> None:
+    page.click("view", 20, 30)
+    until(lambda: page.key("epi-row").endswith(" 30"), "the EPI of the row has come", page.tab)
+    page.still()
+    left, _, scale = page.place("view")
+    box = page.tab.locator("#epi-row").bounding_box()
+    row = box["height"] / len(lf.row())
+    x = box["x"] + left + (20.5 - 1.5 * 2) * scale  # of disparity 1.5, in the last view of the row
+    page.tab.mouse.move(box["x"] + left + 20.5 * scale, box["y"] + 4.5 * row)
+    page.tab.mouse.down()
+    page.tab.mouse.move(x, box["y"] + 4.5 * row, steps=5)
+    page.tab.mouse.up()
+    page.tab.mouse.move(5, 5)
+
+    def tested() -> float:
+        said = page.readout().replace("\n", " ").replace("−", "-").partition("tested ")[2].split()
+        return float(said[0]) if said else 0.0
+
+    until(lambda: tested() == pytest.approx(1.5, abs=0.05), "a disparity is tested", page.tab)
+    page.still()
+    picture = page.pixels("epi-row")
+    at = left + (20.5 + 1.5 * 2) * scale
+    assert (picture[int(0.5 * row), int(at) - 2 : int(at) + 3] > 240).all(axis=1).any()  # the line in the first view
+    until(lambda: "costs" in page.key("plot"), "the costs are drawn", page.tab)
+    assert marked(page)() != []
+    page.tab.keyboard.press("Escape")
+    until(lambda: "tested" not in page.readout(), "the test has ended", page.tab)
+    page.tab.click("#plot-tabs [data-value=values]")
+
+
+def test_a_difference_is_a_map_with_its_distribution_and_shares(browser: Any, lf: LightField) -> None:
+    truth = lf.truth
+    assert truth is not None
+    by = np.where(np.arange(SIZE[1]) < 12, 0.5, 0.02).astype(np.float32)
+    with Viewer(lf, DisparityMap(truth.disparity + by), port=0) as viewer:
+        page = Page(browser, viewer)
+        page.shown("map", "disparity")
+        page.choose("other", "ground truth")
+        page.tab.click("#compare [data-value=minus]")
+        page.shown("map", "minus")
+        page.says("25 % > 0.07, 25 % > 0.03, 100 % > 0.01", "#right-title")
+        until(lambda: "minus" in page.key("histogram"), "its distribution is drawn", page.tab)
+        page.shown("map", "RdBu_r -0.5 0.5")
+        assert page.at("map", 4, 30) == pytest.approx((103, 0, 31), abs=2)  # the end of the scale
+        assert min(page.at("map", 40, 30)) > 235
+        asked = next(url for url in reversed(page.asked) if "data/map" in url and "minus" in url)
+        with urlopen(asked, timeout=10) as answer:
+            values = np.frombuffer(answer.read(), np.float32).reshape(SIZE)
+        np.testing.assert_allclose(values, np.broadcast_to(by, SIZE), atol=1e-5)
+        page.close()
+
+
+def test_four_maps_stand_beside_each_other_with_one_pointer(browser: Any, lf: LightField) -> None:
+    truth = lf.truth
+    assert truth is not None
+    with Viewer(lf, port=0) as viewer:
+        for name in "abc":
+            viewer.add(DisparityMap(truth.disparity), name=name)
+        page = Page(browser, viewer, width=1600, height=1000)
+        page.shown("map", "disparity")
+        page.choose("result", "a")
+        for field, name in (("other", "b"), ("third", "c"), ("fourth", "ground truth")):
+            page.choose(field, name)
+            page.tab.click("#compare [data-value=side]")
+        for name in ("map", "other-map", "third-map", "fourth-map"):
+            page.shown(name, "disparity")
+        boxes = [page.tab.locator(f"#{name}-map").bounding_box() for name in ("other", "third", "fourth")]
+        assert all(box["width"] > 380 for box in boxes)
+        assert not page.tab.locator("#view").is_visible()
+        before = page.pixels("fourth-map")
+        page.tab.mouse.move(*page.spot("map", 40, 30))
+        until(lambda: (page.pixels("fourth-map") != before).any(), "the pointer is seen there, too", page.tab)
+        left, top, scale = page.place("fourth-map")
+        moved = np.argwhere((page.pixels("fourth-map") != before).any(axis=2)).mean(axis=0)
+        assert moved == pytest.approx((top + 30.5 * scale, left + 40.5 * scale), abs=2)
+        page.tab.keyboard.press("x")
+        until(lambda: page.tab.locator("#view").is_visible(), "the views are there again", page.tab)
+        page.close()
+
+
+def test_a_wipe_does_not_begin_on_the_cross_hairs(browser: Any, lf: LightField) -> None:
+    truth = lf.truth
+    assert truth is not None
+    with Viewer(lf, DisparityMap(truth.disparity + 0.5), port=0) as viewer:
+        page = Page(browser, viewer)
+        page.shown("map", "disparity")
+        page.choose("other", "ground truth")
+        picture = page.shown("map", " / ").astype(int)
+        left, _, scale = page.place("map")
+        white = (picture.reshape(len(picture), -1, 3) > 250).all(axis=2).mean(axis=0)
+        assert abs(np.argmax(white) - (left + 24.5 * scale)) > 20  # the chosen pixel is in the middle
+        page.close()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1366, 650), (1600, 1000), (3840, 2160)])
+def test_views_and_maps_have_one_scale_and_dividers_move(browser: Any, viewer: Viewer, width: int, height: int) -> None:
+    page = Page(browser, viewer, width=width, height=height)
+    page.shown("map", "disparity")
+    page.shown("view", "view")
+    assert page.place("view")[2] == pytest.approx(page.place("map")[2], rel=0.02)
+    before = page.tab.locator("#right").bounding_box()["width"]
+    box = page.tab.locator(".gutter[data-name=left]").bounding_box()
+    page.tab.mouse.move(box["x"] + 2, box["y"] + 200)
+    page.tab.mouse.down()
+    page.tab.mouse.move(box["x"] - 120, box["y"] + 200, steps=3)
+    page.tab.mouse.up()
+    assert page.tab.locator("#right").bounding_box()["width"] == pytest.approx(before + 122, abs=6)
+    page.tab.dblclick(".gutter[data-name=aside]")
+    assert page.tab.locator("#settings").bounding_box()["width"] < 5
+    page.tab.click("#alone")
+    page.shown("map", "disparity")
+    assert page.tab.locator("#right").bounding_box()["width"] > width - 20
+    page.tab.click("#plot-tabs [data-value='']")
+    until(lambda: not page.tab.locator("#histogram").is_visible(), "the distribution is folded", page.tab)
+    assert page.tab.evaluate("document.documentElement.scrollWidth") <= width
+    page.close()
+
+
+def test_handles_of_the_distribution_set_the_range_and_so_does_what_is_seen(page: Page, viewer: Viewer) -> None:
+    low, high = viewer.contents.limits("disparity")
+    until(lambda: "disparity" in page.key("histogram"), "the distribution is drawn", page.tab)
+    box = page.tab.locator("#histogram .u-over").bounding_box()
+    ends = [float(x) for x in page.key("histogram").split()[-3:-1]]
+
+    def at(value: float) -> float:
+        return float(box["x"] + (value - ends[0]) / (ends[1] - ends[0]) * box["width"])
+
+    page.tab.mouse.move(at(high), box["y"] + 20)
+    page.tab.mouse.down()
+    page.tab.mouse.move(at((low + high) / 2), box["y"] + 20, steps=4)
+    page.tab.mouse.up()
+    until(lambda: float(page.tab.input_value("#high")) == pytest.approx((low + high) / 2, abs=0.1), "set", page.tab)
+    page.tab.mouse.move(*page.spot("map", 40, 30))
+    for _ in range(5):
+        page.tab.mouse.wheel(0, -300)
+    page.moved("map", lambda place: place[2] > 38, "the map is enlarged")
+    page.tab.click("#seen")
+    part = viewer.contents.entries["fast"].disparity[26:36, 34:46]
+    least = float(np.nanmin(part))
+    until(lambda: float(page.tab.input_value("#low")) >= least - 0.3, "the range of what is seen", page.tab)
+    assert float(page.tab.input_value("#high")) <= float(np.nanmax(part)) + 0.3
+    page.tab.click("#auto")
