@@ -49,12 +49,24 @@ class BackendInfo:
 
 
 def list_backends() -> tuple[str, ...]:
-    """Names of all backends, the default first. Some may not be installed; see `describe_backends`."""
+    """Names of all backends, the default first. Some may not be installed; see `describe_backends`.
+
+    Examples
+    --------
+    >>> "warp" in lfgpu.list_backends()
+    True
+    """
     return tuple(_PACKAGES)
 
 
 def describe_backends() -> tuple[BackendInfo, ...]:
-    """Describe all backends, the default first. Loads each; one that fails has a `problem`."""
+    """Describe all backends, the default first. Loads each; one that fails has a `problem`.
+
+    Examples
+    --------
+    >>> sorted(info.name for info in lfgpu.describe_backends())
+    ['reference', 'taichi', 'warp']
+    """
     return tuple(_describe(backend) for backend in _PACKAGES)
 
 

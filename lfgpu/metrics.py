@@ -90,6 +90,11 @@ def evaluate(
     LightFieldError
         If there is no truth, it is of another view, shapes differ, the border leaves nothing of the map, or no pixel is
         left to score.
+
+    Examples
+    --------
+    >>> round(lfgpu.evaluate(lf.truth.disparity + 0.01, lf.truth).mse_100, 4)
+    0.01
     """
     errors, _ = _errors(disparity, truth, mask, border)
     count, defined = len(errors), errors[np.isfinite(errors)]
@@ -194,6 +199,12 @@ def sparsification(
     ------
     LightFieldError
         As `evaluate`; if the confidence is of another shape, or the threshold is negative.
+
+    Examples
+    --------
+    >>> curve = lfgpu.metrics.sparsification(result, result.confidence, lf.truth)
+    >>> bool(curve.bad[-1] <= curve.bad[0])
+    True
     """
     errors, surer = _with_confidence(disparity, confidence, truth, mask, border, threshold)
     levels, level = np.unique(-np.where(np.isnan(surer), -np.inf, surer), return_inverse=True)

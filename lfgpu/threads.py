@@ -33,6 +33,12 @@ def set_threads(count: int | None) -> None:
     ------
     LfgpuError
         If `count` is not an integer >= 1.
+
+    Examples
+    --------
+    >>> lfgpu.set_threads(2)
+    >>> lfgpu.get_threads()
+    2
     """
     global _chosen
     _chosen = None if count is None else _checked(count, "set_threads")
@@ -60,7 +66,14 @@ def alone_here() -> Iterator[None]:
 
 
 def get_threads() -> int:
-    """Return the largest number of CPU threads: from `set_threads`, else from $LFGPU_THREADS, else one per core."""
+    """Return the largest number of CPU threads: from `set_threads`, else from $LFGPU_THREADS, else one per core.
+
+    Examples
+    --------
+    >>> lfgpu.set_threads(1)
+    >>> lfgpu.get_threads()
+    1
+    """
     if getattr(_here, "alone", False):
         return 1
     if _chosen is not None:

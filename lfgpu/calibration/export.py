@@ -70,6 +70,12 @@ def export_scene(
     ------
     LightFieldError
         If the geometry is not known, the maps do not belong to the views, or no pixel has a depth.
+
+    Examples
+    --------
+    >>> notes = lfgpu.calibration.export_scene(lf, result, "scene")
+    >>> Path("scene/transforms.json").exists()
+    True
     """
     check_writable(folder)
     geometry = world_of(lf)

@@ -100,6 +100,11 @@ def camera_info(lf: LightField, index: int | None = None) -> CameraInfo:
     ------
     LightFieldError
         If the geometry is unknown, or there is no such view.
+
+    Examples
+    --------
+    >>> lfgpu.calibration.camera_info(lf).width
+    80
     """
     geometry = world_of(lf)
     n = lf.reference_index if index is None else index

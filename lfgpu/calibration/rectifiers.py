@@ -36,6 +36,13 @@ def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
     """Read the rectifier of a folder that `lfgpu rectify` wrote.
 
     LightFieldError if the folder holds none, or is damaged.
+
+    Examples
+    --------
+    >>> rectified = lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml")
+    >>> notes = lfgpu.calibration.write_rectified(rectified, "rectified")
+    >>> type(lfgpu.calibration.read_rectifier("rectified")).__name__
+    'Rectifier'
     """
     path = Path(folder)
     if not (path / NUMBERS).is_file():

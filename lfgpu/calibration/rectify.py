@@ -141,6 +141,11 @@ def rectify(
     ------
     LightFieldError
         If calibration and pictures do not belong together, or the cameras are no light field; see `fit_rig`, `refine`.
+
+    Examples
+    --------
+    >>> lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml").light_field.size
+    (64, 80)
     """
     pictures = source if isinstance(source, LightField) else _loaded(Path(source), calibration is not None)
     if calibration is None and not isinstance(source, LightField):
@@ -184,6 +189,13 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[
     written to rectified ones, and with a calibration `rotation` [3, 3] (world to the common frame), `positions`,
     `ahead`, `corrected_at`, the common camera, and of the original cameras `matrices`, `distortions`, `rotations` and
     `translations`.
+
+    Examples
+    --------
+    >>> rectified = lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml")
+    >>> notes = lfgpu.calibration.write_rectified(rectified, "rectified")
+    >>> lfgpu.read("rectified").size
+    (64, 80)
     """
     check_writable(folder)
     lf = result.light_field

@@ -120,6 +120,12 @@ def refine(
         If there is no such model, or the views have too little texture.
     BackendError
         If the backend or the device is not there.
+
+    Examples
+    --------
+    >>> found = lfgpu.calibration.refine(lfgpu.read("rig"), disparity_range=(-2, 2))
+    >>> found.shift.shape
+    (25, 2)
     """
     if model not in MODELS:
         raise LightFieldError(f"model must be one of {', '.join(MODELS)}, not {model!r}.")
@@ -140,6 +146,11 @@ def equalise(
     """Give all views the brightness of the reference: gain and offset of each colour, and vignetting.
 
     Parameters and errors are those of `refine`; views are not moved.
+
+    Examples
+    --------
+    >>> lfgpu.calibration.equalise(lf, disparity_range=(-2, 2)).light_field.size
+    (64, 80)
     """
     search = _Search(lf, "similarity", False, disparity_range, open_device(backend, device))
     search.round(_MIDDLE, moving=False)

@@ -153,6 +153,11 @@ def explain(
         If the map has another size, belongs to another view, or is undefined everywhere.
     BackendError
         If the backend or the device is missing.
+
+    Examples
+    --------
+    >>> lfgpu.explain(lf, result).mean_psnr > 25
+    True
     """
     prediction = _Prediction(lf, result, open_device(backend, device))
     found = look(lf, prediction.disparity, prediction.device, budget="full")

@@ -31,6 +31,11 @@ def fill_unknown(disparity: ArrayLike) -> Float32Array:
     ------
     LightFieldError
         If it is no such array, or a map has no value at all.
+
+    Examples
+    --------
+    >>> lfgpu.fill_unknown([[1.0, np.nan, 3.0]]).tolist()
+    [[1.0, 1.0, 3.0]]
     """
     maps = np.asarray(disparity, np.float32)
     if maps.ndim == 3:

@@ -47,6 +47,12 @@ class Geometry:
     ------
     LightFieldError
         If a length or the aspect is not a positive number, or a point is not two finite numbers.
+
+    Examples
+    --------
+    >>> cameras = lfgpu.Geometry(focal_length_px=500.0, baseline_m=0.02, focus_distance_m=4.0)
+    >>> cameras.depth([0.0, 2.5]).tolist()
+    [4.0, 2.0]
     """
 
     focal_length_px: float

@@ -47,6 +47,11 @@ class GroundTruth:
         (u, v) position of the view that it belongs to, as in `LightField.positions`.
     mask
         bool [y, x], True at scored pixels. Default None: all pixels are scored.
+
+    Examples
+    --------
+    >>> lfgpu.GroundTruth(np.zeros((64, 80), np.float32), position=(2.0, 2.0)).disparity.mean()
+    np.float32(0.0)
     """
 
     disparity: NDArray[np.float32]
@@ -107,6 +112,14 @@ class LightField:
     ------
     LightFieldError
         If shapes, dtypes, values or positions are wrong; the message says which.
+
+    Examples
+    --------
+    >>> views = np.random.default_rng(0).random((6, 32, 40, 3), np.float32)
+    >>> positions = np.array([(u, v) for v in range(2) for u in range(3)], float)
+    >>> mine = lfgpu.LightField(views, positions, reference=1, name="mine")
+    >>> mine.size, mine.offsets[0].tolist()
+    ((32, 40), [-1.0, 0.0])
     """
 
     views: NDArray[Any]

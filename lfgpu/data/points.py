@@ -74,6 +74,11 @@ def point_cloud(
     ------
     LightFieldError
         If the image is not of the map's size, the step is not >= 1, or no pixel is left.
+
+    Examples
+    --------
+    >>> lfgpu.point_cloud(result, image=lf.image(lf.reference_index)).points.shape
+    (5120, 3)
     """
     if step < 1:
         raise LightFieldError(f"step must be a whole number from 1 on, not {step}.")

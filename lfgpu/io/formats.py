@@ -288,6 +288,12 @@ def read(
         If the path is missing or not a known format, it cannot be known what its files mean, an option is wrong or
         means nothing for the format, a library that it needs is missing, or its files are damaged or contradict each
         other.
+
+    Examples
+    --------
+    >>> notes = lfgpu.io.write_hci(lf, "boxes")
+    >>> lfgpu.read("boxes").grid_shape
+    (5, 5)
     """
     if not isinstance(path, str | os.PathLike):
         raise LightFieldError(f"path must name a file or a folder, not {path!r:.60}.")

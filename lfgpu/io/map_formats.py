@@ -130,6 +130,12 @@ def save(
     LightFieldError
         If the suffix is none of these, the map is not [y, x], the maps of all views are given for a format that holds
         one, a library is missing, or the file cannot be written.
+
+    Examples
+    --------
+    >>> lfgpu.save(result, "cloud.ply", image=lf.image(lf.reference_index))
+    >>> lfgpu.load("cloud.ply").name
+    'boxes'
     """
     path = Path(path)
     chosen = writable_format(path)
@@ -170,6 +176,12 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
     ------
     LightFieldError
         If the file is missing, damaged, of another kind, or not a map.
+
+    Examples
+    --------
+    >>> result.save("result.npz")
+    >>> lfgpu.load("result.npz").confidence.shape
+    (64, 80)
     """
     path = Path(path)
     if path.is_dir():

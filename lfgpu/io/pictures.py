@@ -17,6 +17,11 @@ def load_pictures(folder: str | os.PathLike[str]) -> LightField:
     """Load the pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
 
     LightFieldError if there are fewer than two, or they are not alike.
+
+    Examples
+    --------
+    >>> lfgpu.calibration.load_pictures("rig").views.shape
+    (25, 64, 80, 3)
     """
     path = Path(folder)
     if not path.is_dir():

@@ -49,7 +49,13 @@ PresetName: TypeAlias = Literal["accurate", "fast", "paper", "paper-exact"]
 
 
 def preset(name: str) -> Config:
-    """Return the parameters of a preset; raise LightFieldError if there is none of that name."""
+    """Return the parameters of a preset; raise LightFieldError if there is none of that name.
+
+    Examples
+    --------
+    >>> lfgpu.methods.preset("fast").with_values({"prior.window": 11}).prior.window
+    11
+    """
     if name not in PRESETS:
         raise LightFieldError(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}.")
     return PRESETS[name]

@@ -41,6 +41,11 @@ class TemporalPrior:
     ------
     LightFieldError
         If a value is out of range.
+
+    Examples
+    --------
+    >>> lfgpu.TemporalPrior(strength=0.2).strength
+    0.2
     """
 
     persistence: float = 0.9

@@ -69,6 +69,11 @@ def estimate_all_views(
         As `estimate_depth`; if `keys` is not an integer >= 1; or if a view shows nothing that a key view shows.
     BackendError
         As `estimate_depth`.
+
+    Examples
+    --------
+    >>> lfgpu.estimate_all_views(lf, config="fast", keys=2).disparities.shape
+    (25, 64, 80)
     """
     check_light_field(lf)
     if isinstance(keys, bool) or not isinstance(keys, Integral) or keys < 1:

@@ -72,6 +72,12 @@ def estimate_depth(
         If the range or a parameter is wrong, or if the views show too little to estimate anything.
     BackendError
         If the backend or the device is missing, or if `deterministic` is set and the backend is not.
+
+    Examples
+    --------
+    >>> found = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-1.6, 1.6))
+    >>> found.disparity.shape, found.disparity.dtype.name
+    ((64, 80), 'float32')
     """
     check_light_field(lf)
     if max_memory is not None:

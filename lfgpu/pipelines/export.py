@@ -99,6 +99,12 @@ def export_pipeline(
     ------
     LightFieldError, BackendError
         As `DepthPipeline`; if the method or the backend cannot export; or if the folder cannot be written.
+
+    Examples
+    --------
+    >>> lfgpu.export_pipeline(lf, "pipeline", config="fast", disparity_range=(-2, 2))
+    >>> Path("pipeline/lfgpu_replay.h").exists()
+    True
     """
     check_light_field(lf)
     check_writable(out)

@@ -89,6 +89,14 @@ class FrameGrouper:
     ------
     LightFieldError
         If a number is out of its range.
+
+    Examples
+    --------
+    >>> grouper = lfgpu.FrameGrouper(2, (4, 5), tolerance=0.004)
+    >>> [grouper.add(camera, np.zeros((4, 5), np.uint8), stamp) for camera, stamp in ((0, 1.000), (1, 1.002))]
+    [True, True]
+    >>> grouper.get().views.shape
+    (2, 4, 5)
     """
 
     def __init__(

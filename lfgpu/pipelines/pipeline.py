@@ -64,6 +64,14 @@ class DepthPipeline:
     ------
     LightFieldError, BackendError
         As `estimate_depth`; also if the pictures are not those of the rectifier's cameras.
+
+    Examples
+    --------
+    >>> pipeline = lfgpu.DepthPipeline(lf, config="fast", disparity_range=(-2, 2))
+    >>> pipeline.upload(lf.views)
+    >>> pipeline.run()
+    >>> pipeline.disparity().shape
+    (64, 80)
     """
 
     def __init__(

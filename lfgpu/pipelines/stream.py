@@ -96,6 +96,12 @@ class DepthStream:
     LightFieldError, BackendError
         As `estimate_depth`; also if the method or the backend cannot run on streams, or the pictures are not those of
         the rectifier's cameras.
+
+    Examples
+    --------
+    >>> with lfgpu.DepthStream(lf, config="fast", disparity_range=(-2, 2)) as stream:
+    ...     stream.push(lf.views).numpy().shape
+    (64, 80)
     """
 
     def __init__(

@@ -112,6 +112,11 @@ def judged(
         If the map has another size, or belongs to another view.
     BackendError
         If the backend or the device is missing.
+
+    Examples
+    --------
+    >>> lfgpu.judged(lf, result).remarks
+    ()
     """
     found = verdict_of(
         lf,

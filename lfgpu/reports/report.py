@@ -91,6 +91,10 @@ def write_report(
     ------
     LightFieldError
         If the result is of another view or size than the light field, or the file cannot be written.
+
+    Examples
+    --------
+    >>> lfgpu.write_report("report.html", lf, result)
     """
     page = html(lf, result, origin=origin, explanation=explanation)
     with atomic_write(path) as temporary:

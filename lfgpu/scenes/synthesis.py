@@ -89,6 +89,11 @@ def make(
     ------
     LightFieldError
         If an argument is wrong; the message says which.
+
+    Examples
+    --------
+    >>> lfgpu.scenes.make("planes", seed=3, grid=(3, 3), size=(48, 64)).truth.disparity.shape
+    (48, 64)
     """
     scene = _scene(name, seed, grid, size, disparity_range)
     recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
@@ -123,6 +128,11 @@ def sequence(
     ------
     LightFieldError
         If an argument is wrong. It is raised by the call, not by the first frame.
+
+    Examples
+    --------
+    >>> [frame.name for frame in lfgpu.scenes.sequence("moving", frames=2, grid=(3, 3), size=(24, 32))]
+    ['moving', 'moving']
     """
     _integer("frames", frames, 1)
     scene = _scene(name, seed, grid, size, disparity_range)
@@ -156,6 +166,11 @@ def true_disparity(
     ------
     LightFieldError
         If an argument is wrong; the message says which.
+
+    Examples
+    --------
+    >>> lfgpu.scenes.true_disparity("planes", 0, 2, grid=(3, 3), size=(48, 64)).shape
+    (48, 64)
     """
     scene = _scene(name, seed, grid, size, disparity_range)
     place = _place((row, column), scene.grid)
@@ -190,6 +205,12 @@ def true_motion(
     ------
     LightFieldError
         If an argument is wrong; the message says which.
+
+    Examples
+    --------
+    >>> motion, owner = lfgpu.scenes.true_motion(1, 1, (0.0, 0.1), grid=(3, 3), size=(48, 64))
+    >>> motion.shape
+    (3, 48, 64)
     """
     scene = _scene("moving", seed, grid, size, disparity_range)
     place = _place((row, column), scene.grid)

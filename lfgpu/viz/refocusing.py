@@ -56,6 +56,11 @@ def refocus(
     ------
     LightFieldError
         If the disparity is not finite, or an option is out of its range.
+
+    Examples
+    --------
+    >>> lfgpu.refocus(lf, 1.2, aperture=1.5).shape
+    (64, 80, 3)
     """
     check_light_field(lf)
     check_number("the disparity to focus on", disparity, -_LARGEST, _LARGEST)
@@ -111,6 +116,11 @@ def all_in_focus(
         If the map is not of the reference view, or an option is out of its range.
     BackendError
         If the backend or the device is missing.
+
+    Examples
+    --------
+    >>> lfgpu.all_in_focus(lf, result).shape
+    (64, 80, 3)
     """
     check_light_field(lf)
     _check_preview(step, most_views, order)

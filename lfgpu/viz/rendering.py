@@ -78,6 +78,11 @@ class Renderer:
         If the maps do not belong to the views, or `sources` is below 1.
     BackendError
         If the backend or the device is missing.
+
+    Examples
+    --------
+    >>> render = lfgpu.Renderer(lf, lfgpu.estimate_all_views(lf, config="fast", keys=2))
+    >>> film = [render(2.0, column).image for column in (1.0, 1.5, 2.0)]
     """
 
     def __init__(
@@ -210,6 +215,12 @@ def render_view(
     ------
     LightFieldError, BackendError
         As `Renderer`.
+
+    Examples
+    --------
+    >>> maps = lfgpu.estimate_all_views(lf, config="fast", keys=2)
+    >>> lfgpu.render_view(lf, maps, 1.5, 2.25).image.shape
+    (64, 80, 3)
     """
     return Renderer(lf, maps, sources=sources, backend=backend, device=device)(row, column)
 

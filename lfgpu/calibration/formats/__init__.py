@@ -82,6 +82,11 @@ def read_calibration(path: str | Path, *, unit: str | None = None) -> Calibratio
     ------
     LightFieldError
         If there is no such file, it is of another kind, or damaged; the sentence says which entry.
+
+    Examples
+    --------
+    >>> lfgpu.calibration.read_calibration("rig/cameras.toml").cameras[0].name
+    'input_Cam000.png'
     """
     check_unit(unit)
     found = _read(path)
