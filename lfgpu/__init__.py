@@ -146,14 +146,16 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name == "__version__":
-        from lfgpu.machine import version_of
+if not TYPE_CHECKING:  # or every misspelt name would be Any
 
-        return version_of("lfgpu") or "not installed"
-    if name not in _HOMES:
-        raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
-    return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)
+    def __getattr__(name: str) -> Any:
+        if name == "__version__":
+            from lfgpu.machine import version_of
+
+            return version_of("lfgpu") or "not installed"
+        if name not in _HOMES:
+            raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
+        return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)
 
 
 def _later(home: str, name: str) -> Callable[..., Any]:

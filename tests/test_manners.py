@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import re
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
@@ -142,24 +143,33 @@ def test_a_backend_is_named_or_refused() -> None:
 
 
 @pytest.mark.thorough
-def test_a_type_checker_refuses_what_is_no_preset(tmp_path: Path) -> None:
-    pytest.importorskip("mypy")
+@pytest.mark.parametrize("checker", ["mypy", "pyright"])
+def test_type_checkers_refuse_wrong_names_and_types(checker: str, tmp_path: Path) -> None:
+    lines = {
+        "result = lfgpu.estimate_depth(lf, config='fast', backend='warp')": True,
+        "lfgpu.load('x').disparity": False,
+        "lfgpu.estimate_depth(lf, config='fats')": False,
+        "lfgpu.estimate_depth(lf, backend='wrap')": False,
+        "lfgpu.estimate_depth(lf, disparity_range='wide')": False,
+        "lfgpu.estimate_dept(lf)": False,
+        "result.disparty": False,
+        "depth: float = result.confidence": False,
+        "first = lfgpu.to_xarray(result).disparity": True,
+    }
     code = tmp_path / "code.py"
-    calls = ("config='fats'", "backend='wrap'", "config='fast', backend='warp'")
-    code.write_text(
-        "import lfgpu\ndef f(lf: lfgpu.LightField) -> None:\n"
-        + "".join(f"    lfgpu.estimate_depth(lf, {call})\n" for call in calls)
-    )
+    code.write_text("import lfgpu\n\n\ndef f(lf: lfgpu.LightField) -> None:\n" + "".join(f"    {x}\n" for x in lines))
     settings = Path(__file__).parents[1] / "pyproject.toml"
-    done = subprocess.run(
-        [sys.executable, "-m", "mypy", "--config-file", str(settings), "--follow-imports=silent", str(code)],
-        capture_output=True,
-        text=True,
-        cwd=settings.parent,
-        check=False,
-    )
+    if checker == "mypy":
+        pytest.importorskip("mypy")
+        command = [sys.executable, "-m", "mypy", "--config-file", str(settings), "--follow-imports=silent", str(code)]
+    elif program := shutil.which("pyright"):
+        command = [program, "--pythonpath", sys.executable, str(code)]
+    else:
+        pytest.skip("no pyright: npm install --global pyright")
+    done = subprocess.run(command, capture_output=True, text=True, cwd=settings.parent, check=False)
     # The cache of mypy may know the same code by another folder: only the name of the file counts.
-    assert re.findall(r"/code\.py:(\d+): error", done.stdout) == ["3", "4"], done.stdout
+    found = {int(line) for line in re.findall(r"/code\.py:(\d+):(?:\d+ -)? error", done.stdout)}
+    assert found == {n for n, right in enumerate(lines.values(), 5) if not right}, done.stdout
 
 
 # --- wrong types ---
