@@ -17,7 +17,7 @@ from lfgpu.methods.dry_run import DryArray, DryKernels
 from lfgpu.methods.matching.learned import Network, Weights, read_weights
 
 WIDTHS = 8, 16, 8, 24
-SIZE, COUNT, STEP = (45, 37), 8, 0.25
+SIZE, COUNT, STEP = (45, 37), 12, 0.25
 MAPS = "disparity", "probability", "deviation"
 
 

@@ -51,7 +51,7 @@ def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
     }
     types = {"Kept": kept, "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
     module = f"lfgpu_gpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
-    numbers |= {"STORED": c_type(costs), **names_of(kept)}
+    numbers |= {"STORED": c_type(costs), "BYTES": {wp.uint8: 1, wp.uint16: 2}.get(stored, 0), **names_of(kept)}
     return kernel("sectors.cuh", "find_sector_costs", module=module, **types, **numbers)
 
 

@@ -8,10 +8,10 @@ void find_sector_costs(
     Array2<float> start, Array1<double> factor, float scale, float step, int label, Array3<Costs> costs_out) {
     constexpr int COSTS = 2 * SECTORS, ALL = FOLD * FOLD * COSTS, SIDE = BLOCK / FOLD;
     __shared__ STORED folded[SIDE / FOLD][ALL];
-    struct Values { KEPT c[PAD]; };
     const int height = image.shape[0], width = image.shape[1], rows = costs_out.shape[1], columns = costs_out.shape[2];
     const int thread = tid % BLOCK, block = tid / BLOCK, across = (columns * FOLD + SIDE - 1) / SIDE;
-    const int l = block / (across * rows), place = block - l * across * rows, folded_y = place / across;
+    const int labels = costs_out.shape[0], place = block / labels, l = block - place * labels;  // these see the same
+    const int folded_y = place / across;
     const int i = thread / SIDE, j = thread % SIDE, left = place % across * SIDE;
     const int y = min(FOLD * folded_y + i, height - 1), x = min(left + j, width - 1), p = y * width + x;
     const float gain = (float)factor.data[0], stored_gain = gain * scale;
@@ -21,11 +21,19 @@ void find_sector_costs(
     bool there[SECTORS];
     for (int c = 0; c < CHANNELS; ++c) reference[c] = gain * image.data[p].c[c];
     auto cost_of = [](float difference) { return 0.25f * logf(1.f + difference * (1.f / UNIT)); };
-    auto pixel_at = [&](size_t place) {
-        const WORDS word = pixels[place];
-        Values values;
-        memcpy(&values, &word, sizeof(values));
-        return values;
+    // A value of a pixel. An integer in the lowest place of the float 2^23 adds its value to it: a conversion takes longer.
+    auto value_of = [](WORDS pixel, int c) {
+#if BYTES == 1
+        return __uint_as_float(__byte_perm(pixel, 0x4b000000u, 0x7440u | c)) - 8388608.f;
+#elif BYTES == 2
+        unsigned words[PAD / 2];
+        memcpy(words, &pixel, sizeof(words));
+        return __uint_as_float(__byte_perm(words[c / 2], 0x4b000000u, c % 2 ? 0x7432u : 0x7410u)) - 8388608.f;
+#else
+        KEPT values[PAD];
+        memcpy(values, &pixel, sizeof(values));
+        return (float)values[c];
+#endif
     };
 
     #pragma unroll
@@ -42,14 +50,13 @@ void find_sector_costs(
             if (!(y + whole_y + below <= height - 1)) continue;
             const size_t upper = ((size_t)order.data[k] * height + y + (int)whole_y) * width + x + (int)whole_x;
             const size_t lower = upper + (below ? width : 0);
-            const Values a = pixel_at(upper), b = pixel_at(upper + next);
-            const Values c = pixel_at(lower), d = pixel_at(lower + next);
-            const Values nearest = ay >= 0.5f ? (ax >= 0.5f ? d : c) : (ax >= 0.5f ? b : a);
-            if ((float)nearest.c[PAD - 1] == 0.f) continue;
+            const WORDS a = pixels[upper], b = pixels[upper + next], c = pixels[lower], d = pixels[lower + next];
+            const WORDS nearest = ay >= 0.5f ? (ax >= 0.5f ? d : c) : (ax >= 0.5f ? b : a);
+            if (value_of(nearest, PAD - 1) == 0.f) continue;
             #pragma unroll
             for (int i = 0; i < CHANNELS; ++i) {
-                const float high = (float)a.c[i] + ax * ((float)b.c[i] - (float)a.c[i]);
-                const float low = (float)c.c[i] + ax * ((float)d.c[i] - (float)c.c[i]);
+                const float above = value_of(a, i), under = value_of(c, i);
+                const float high = above + ax * (value_of(b, i) - above), low = under + ax * (value_of(d, i) - under);
                 const float difference = stored_gain * (high + ay * (low - high)) - reference[i];
                 single += fabsf(difference);
                 common[i] += difference;

@@ -21,7 +21,7 @@ from lfgpu.methods.arena import Arena, Scratch
 _LEVELS = 5
 _STRIDES = {1: (1, 2, 2), 2: (2, 2, 2), 3: (2, 2, 2), 4: (1, 2, 2)}
 """Of the first convolution of a level, from the level above."""
-_TOGETHER = 4  # disparities whose costs are in memory at the same time
+_TOGETHER = {"cpu": 4, "gpu": 16}  # disparities whose costs are in memory at the same time, at most
 _GREY = 0.4  # intensity of pixels that are not valid: the mean that images are brought to
 PIXELS, DISPARITIES = 16 * FOLD, 4
 """The network works on as many rows and columns, and on as many disparities, as are multiples of these."""
@@ -93,7 +93,9 @@ class Network:
         widths = [weights[f"level{level}{'.0' if level else ''}.weight"].shape[-1] for level in range(_LEVELS)]
         self._folded = volume((1, *shape[1:]), 4 * FOLD**2)
         self._seen, self._shown = (volume((1, *shape[1:]), widths[0]) for _ in range(2))
-        some = _TOGETHER, *shape[1:]
+        most = _TOGETHER["gpu" if self._device.is_gpu else "cpu"]
+        self._together = max(some for some in range(DISPARITIES, most + 1, DISPARITIES) if self._count % some == 0)
+        some = self._together, *shape[1:]
         self._costs, self._mixed = volume(some, COSTS * FOLD**2), volume(some, weights["sectors.0.bias"].size)
         self._finest, self._levels, self._coarse = shape, list[tuple[Array, Array]](), list[Array]()
         for level, width in enumerate(widths):
@@ -123,7 +125,7 @@ class Network:
         run["image.0"](self._folded, None, self._seen)
         run["image.2"](self._seen, None, self._shown)
         (mixed, found), *others = self._levels
-        for label in range(0, self._count, _TOGETHER):
+        for label in range(0, self._count, self._together):
             run["costs"](first, self._factor, self._costs, step=step, label=label)
             run["sectors.0"](self._costs, None, self._mixed)
             run["sectors.2"](self._mixed, self._shown, mixed, at=label)
