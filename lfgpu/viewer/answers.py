@@ -142,7 +142,13 @@ def _figure(contents: Contents, query: Query) -> tuple[bytes, str]:
     return saving.figure(contents, name, kind, stage, colours=colours, limits=limits), ".png"
 
 
-FILES: dict[str, Callable[[Contents, Query], tuple[bytes, str]]] = {"result": _saved, "figure": _figure}
+def _page(contents: Contents, query: Query) -> tuple[bytes, str]:
+    from lfgpu.viewer.standalone import standalone
+
+    return standalone(contents, query.text("sight", "")), ".html"
+
+
+FILES: dict[str, Callable[[Contents, Query], tuple[bytes, str]]] = {"result": _saved, "figure": _figure, "page": _page}
 """Files to download, with their suffix."""
 
 

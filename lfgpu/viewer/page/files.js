@@ -27,6 +27,7 @@ export function setUpFiles(formats, now) {
   };
   $("save-map").onclick = () => savePicture(now().mapSource, `${name()}-${now().ui.quantity}`);
   $("save-view").onclick = () => savePicture(now().viewSource, `${name()}-view`);
+  $("save-page").onclick = () => save(now(), "page", { sight: location.hash.slice(1) });
   $("save-space").onclick = () => save(now(), "space", { tab: now().tab });
 }
 
@@ -46,13 +47,13 @@ function openSaving({ state, ui }) {
 const name = () => $("save-name").value.trim() || "lfgpu";
 
 function save({ ui, state }, what, query) {
-  const suffix = what === "result" ? "" : `-${what === "figure" ? ui.quantity : "3d"}`;
+  const suffix = what === "result" || what === "page" ? "" : `-${what === "figure" ? ui.quantity : "3d"}`;
   orTell(() => download(what, { result: ui.result, stage: ui.stage, of: state.revision, name: name() + suffix, ...query }));
 }
 
 async function savePicture(source, as) {
   await orTell(async () => {
-    const canvas = await wholePicture(source);
+    const canvas = await wholePicture(source, Number($("save-times").value));
     offer(await new Promise((done) => canvas.toBlob(done, "image/png")), `${as}.png`);
   });
 }

@@ -102,7 +102,7 @@ function viewSource(index = ui.view) {
 
 const parallax = new Parallax();
 const VIEWS_AHEAD = 120, SWAY = 0.35; // of the aperture
-const calm = matchMedia("(prefers-reduced-motion: reduce)"), canSway = () => !calm.matches && canInterpolate() && parallax.isFast;
+const calm = matchMedia("(prefers-reduced-motion: reduce)"), canSway = () => !calm.matches && canInterpolate() && !sway.isSlow;
 const canInterpolate = () => Boolean(lf() && entry(ui.result) && parallax.isThere);
 
 function cameraSource(common) {
@@ -641,7 +641,7 @@ function takeNow(next) {
   // all at once: a view of the last light field may not be one of this
   ui.set({ ...(other && state.size ? beginning() : {}), ...chosenMaps(before, other) });
   if (!sight && state.size) {
-    const hash = location.hash.slice(1);
+    const hash = location.hash.slice(1); // before anything is kept there
     sight = new Sight(ui, viewport, () => !home && !state.frame, applySight);
     sight.open(hash);
   }

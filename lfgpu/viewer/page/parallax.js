@@ -50,9 +50,7 @@ export class Parallax {
 
   #start() {
     this.canvas = document.createElement("canvas");
-    const options = { preserveDrawingBuffer: true }, probe = document.createElement("canvas");
-    this.isFast = Boolean(probe.getContext("webgl2", { failIfMajorPerformanceCaveat: true }));
-    const gl = (this.#gl = this.canvas.getContext("webgl2", options) ?? false);
+    const gl = (this.#gl = this.canvas.getContext("webgl2", { preserveDrawingBuffer: true }) ?? false);
     if (!gl) return;
     const program = (this.#program = gl.createProgram());
     for (const [kind, text] of [[gl.VERTEX_SHADER, VERTICES], [gl.FRAGMENT_SHADER, PIXELS]]) {
@@ -135,11 +133,14 @@ export class Parallax {
 }
 
 const REST = 6000, LAP = 9000; // milliseconds without a touch of anything, and once round
+const TRIED = 8, SLOW = 50; // pictures after which it ends by itself where each takes so many milliseconds
 
 /** Let a camera sway a little while nobody does anything: `move([du, dv])` from where it stands, null at the end. */
 export class Sway {
   #since = 0; // when it began; 0 while it rests
   #timer = 0;
+  #drawn = 0;
+  isSlow = false;
 
   constructor(isWanted, move) {
     Object.assign(this, { isWanted, move });
@@ -158,16 +159,19 @@ export class Sway {
   start() {
     if (this.#since || !this.isWanted()) return;
     this.#since = performance.now();
+    this.#drawn = 0;
     this.#go();
   }
 
   #go() {
     if (!this.#since) return;
+    const passed = performance.now() - this.#since;
+    if (++this.#drawn === TRIED) this.isSlow = passed > TRIED * SLOW;
     if (!this.isWanted()) {
       this.rest();
       return;
     }
-    const passed = performance.now() - this.#since, turn = (2 * Math.PI * passed) / LAP, far = Math.min(1, passed / 2000);
+    const turn = (2 * Math.PI * passed) / LAP, far = Math.min(1, passed / 2000);
     this.move([far * Math.sin(turn), 0.5 * far * Math.sin(2 * turn)]);
     setTimeout(() => requestAnimationFrame(() => this.#go()), 25);
   }

@@ -1,5 +1,9 @@
 // Everything that is asked of the server, relative to the address of the page, which has the token.
 
+import { offer } from "./asking.js";
+
+export { newest, offer } from "./asking.js";
+
 const TYPES = { uint8: Uint8Array, uint16: Uint16Array, float32: Float32Array };
 
 const address = (path, query) => `${path}?${new URLSearchParams(query)}`;
@@ -35,36 +39,6 @@ export async function act(what, wish = {}) {
 export async function download(what, query) {
   const answer = await checked(await fetch(address(`file/${what}`, query)));
   offer(await answer.blob(), decodeURIComponent(answer.headers.get("Content-Disposition").split("''")[1]));
-}
-
-export function offer(blob, name) {
-  const link = document.createElement("a");
-  link.href = URL.createObjectURL(blob);
-  link.download = name;
-  link.click();
-  setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
-}
-
-/** Ask one thing at a time and skip what was asked in between: `ask(query)` calls `then(answer)` for the newest. */
-export function newest(work, then) {
-  let busy = false, next = null;
-  const ask = async (query) => {
-    if (busy) {
-      next = query;
-      return;
-    }
-    busy = true;
-    try {
-      then(await work(query), query);
-    } catch { /* the server has gone, or what was asked for has: the newest state says so */ }
-    busy = false;
-    if (next !== null) {
-      const query = next;
-      next = null;
-      ask(query);
-    }
-  };
-  return ask;
 }
 
 /** Stay connected: `heard(words)` for each message, `there(true or false)` when the server comes or goes. */

@@ -67,8 +67,8 @@ function ask(source, level, column, row) {
   return array(source.what, query);
 }
 
-/** All tiles of a source at full size, for saving. */
-export async function wholePicture(source) {
+/** All tiles of a source, each pixel a square of some, for saving. */
+export async function wholePicture(source, times = 1) {
   const [height, width] = source.size;
   const canvas = Object.assign(document.createElement("canvas"), { width, height });
   const context = canvas.getContext("2d");
@@ -79,7 +79,11 @@ export async function wholePicture(source) {
       context.putImageData(source.paint(data, shape), column * side, row * side);
     }
   }
-  return canvas;
+  if (times === 1) return canvas;
+  const large = Object.assign(document.createElement("canvas"), { width: times * width, height: times * height }), onto = large.getContext("2d");
+  onto.imageSmoothingEnabled = false;
+  onto.drawImage(canvas, 0, 0, large.width, large.height);
+  return large;
 }
 
 function work() {
