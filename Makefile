@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lint docs figures gpu-parity bench clean
+.PHONY: demo test test-all lowest lint docs figures gpu-parity bench clean
 
 demo: .venv/use
 	$(BIN)/lfgpu demo
@@ -18,6 +18,17 @@ test-all: test
 	$(PYTEST) -m thorough
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2
 	$(BIN)/python tests/faults.py
+
+# The least versions of all packages that pyproject.toml allows, and what reads, writes and computes with them.
+lowest: .venv/develop
+	$(BIN)/python -m venv .venv-lowest
+	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check uv
+	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct \
+		-e ".[test,viewer,opencv]"
+	.venv-lowest/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not thorough" \
+		tests/io/test_every_format.py tests/io/test_images.py tests/io/test_map_formats.py tests/io/test_old_hci.py \
+		tests/calibration/test_calibration_formats.py tests/test_batch_items.py tests/test_batch_manifest.py \
+		tests/test_stream.py tests/test_stream_frames.py tests/test_doctor.py tests/viewer/test_guard.py
 
 lint: .venv/develop
 	$(BIN)/ruff check .
@@ -38,7 +49,7 @@ bench: .venv/develop
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv build dist docs/made lfgpu-demo
+	rm -rf .venv .venv-lowest build dist docs/made lfgpu-demo
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "lfgpu needs Python 3.11 or newer; name one with: make PYTHON=/path/to/python3.12 ...")'

@@ -15,7 +15,9 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+from lfgpu.cli.part_trials import TRIALS
 from lfgpu.errors import LfgpuError
+from lfgpu.io.extras import how_to_install
 from lfgpu.machine import version_of
 
 if TYPE_CHECKING:
@@ -40,6 +42,7 @@ PARTS = {
 """Purposes of the extras of the package. Those of developers are left out."""
 
 _SCENE, _GRID, _SIZE, _RANGE = "relief", (5, 5), (64, 80), (-1.5, 1.5)
+_EXACT = 1e-6  # intensity or px per view step: what is written without loss
 _FROM_TRUTH = 0.03  # px per view step: three times the median error that a working backend has on the scene
 _FROM_REFERENCE = 1e-3  # px per view step, in the median
 
@@ -112,15 +115,15 @@ def examine() -> Checkup:
     from lfgpu.threads import get_threads
 
     backends = describe_backends()
-    caches = tuple(_caches(backends))
-    trials = tuple(_trials(backends))
+    caches, parts = tuple(_caches(backends)), tuple(_parts())
+    trials = tuple(_trials(backends, parts))
     return Checkup(
         _versions(),
         tuple(_devices(backends)),
         caches,
         _memory(),
         get_threads(),
-        tuple(_parts()),
+        parts,
         trials,
         (
             *_of_backends(backends),
@@ -218,13 +221,16 @@ def _of_cache(cache: Cache) -> str:
 # --- whether it works ---
 
 
-def _trials(backends: tuple[BackendInfo, ...]) -> Iterator[Trial]:
-    """Try a light field and a map through files, then an estimate on each device, the reference first."""
+def _trials(backends: tuple[BackendInfo, ...], parts: tuple[Part, ...]) -> Iterator[Trial]:
+    """Try files of all formats whose packages are there, then an estimate on each device, the reference first."""
     from lfgpu._backends import backend_named
     from lfgpu.scenes import make
 
     lf = make(_SCENE, grid=_GRID, size=_SIZE, disparity_range=_RANGE)
     yield _files(lf)
+    for part in parts:
+        if not part.missing and part.extra in TRIALS:
+            yield _of_part(part.extra, lf)
     expected: NDArray[Any] | None = None
     for info in sorted(backends, key=lambda info: info.name != "reference"):
         # Taichi runs on one device per process, the first that is asked for.
@@ -250,6 +256,20 @@ def _files(lf: LightField) -> Trial:
     except (LfgpuError, OSError) as error:
         problem = f"A light field cannot be written to {tempfile.gettempdir()} and read again ({error})."
     return Trial("files", perf_counter() - start, problem=problem)
+
+
+def _of_part(extra: str, lf: LightField) -> Trial:
+    start, said = perf_counter(), ""
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            apart = TRIALS[extra](lf, Path(folder))
+        if not apart <= _EXACT:
+            said = f"what is read differs by {apart:.3g} from what was written"
+    except Exception as error:  # what a library raises that does not fit is anything
+        said = (" ".join(str(error).split()) or type(error).__name__).rstrip(".")
+    needs = ", ".join(f"{name} {version_of(name)}" for name, of in _requirements() if of == extra)
+    problem = f"The part {extra} does not work with {needs} ({said}); {how_to_install(extra)}." if said else None
+    return Trial(f"extra {extra}", perf_counter() - start, problem=problem)
 
 
 def _estimate(

@@ -59,7 +59,7 @@ def test_no_body_is_waited_for_that_will_not_be_used(viewer: Viewer, path: str, 
 @pytest.mark.parametrize(
     ("rest", "host", "more", "answer"),
     [
-        ("", "[::1", "", "403"), ("", "[x]", "", "403"), ("", "@:", "", "400"), ("", None, "Origin: http://[", "403"),
+        ("", "[::1", "", "403"), ("", "[x]", "", "403"), ("", None, "Origin: http://[", "403"),
         ("%00", None, "", "404"), ("data/view%00", None, "", "404"), ("space/%00/x", None, "", "404"),
         ("%ff", None, "", "400"), ("x" * 5000, None, "", "404"),
     ],
