@@ -20,7 +20,7 @@ from lfgpu.cameras.looking import FEWEST, Look, checked_map, look
 from lfgpu.cameras.points import known_pixels
 from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data import hooks
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.io.contradictions import contradictions, no_parallax
 
 if TYPE_CHECKING:
@@ -206,6 +206,7 @@ class _Prediction:
     """Views that the reference view and its map predict."""
 
     def __init__(self, lf: LightField, result: Any, device: Device) -> None:
+        check_light_field(lf)
         self.lf, self.disparity, self.device = lf, checked_map(lf, result), device
 
     def views(

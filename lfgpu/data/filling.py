@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.contract import Float32Array
+from lfgpu.data.light_field_checks import array_of_numbers
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 
@@ -37,7 +38,7 @@ def fill_unknown(disparity: ArrayLike) -> Float32Array:
     >>> lfgpu.fill_unknown([[1.0, np.nan, 3.0]]).tolist()
     [[1.0, 1.0, 3.0]]
     """
-    maps = np.asarray(disparity, np.float32)
+    maps = array_of_numbers("disparity", disparity, np.float32)
     if maps.ndim == 3:
         return np.stack([fill_unknown(map_) for map_ in maps])
     if maps.ndim != 2:

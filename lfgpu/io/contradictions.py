@@ -19,6 +19,7 @@ _HALF, _STILL = 0.5, 0.15  # share of the motion that is explained; steps that a
 _LOOKED_AT, _BLOCK = 128, 4  # pixels of the longer side, means of blocks of which are compared upside down
 _UPSIDE_DOWN, _LESS = 0.7, 0.3  # correlation upside down, and how much less it is upright
 _BLOCKS, _ONE_SCENE = 12, 0.5  # pixels of the shorter side; correlation of pictures of one scene, at least
+_UNMOVED = 0.2  # pixels, rms: motion that may be noise where no disparity map explains it
 _NAMED = 4  # views that a sentence names
 _WAYS = (
     (False, "", np.eye(2)),
@@ -30,7 +31,7 @@ _WAYS = (
 
 def contradictions(light_field: LightField) -> tuple[str, ...]:
     """Say in sentences how the pictures contradict the places of their cameras; empty if they do not."""
-    found = (look(light_field) for look in (no_parallax, copied, upside_down, contradiction, other_scenes))
+    found = (look(light_field) for look in (no_parallax, copied, upside_down, contradiction, other_scenes, unmoved))
     return tuple(islice((sentence for sentence in found if sentence is not None), 1))
 
 
@@ -102,6 +103,8 @@ def other_scenes(light_field: LightField) -> str | None:
         return None
     factor = max(1, min(light_field.size) // _BLOCKS)
     centre = grey_of(light_field, light_field.reference_index, factor)
+    if centre.std() == 0:
+        return None
     for index in (n for axis in (0, 1) if (n := beside(light_field, axis)) is not None):
         if _alike_moved(grey_of(light_field, index, factor), centre) < _ONE_SCENE:
             u, v = light_field.positions[index]
@@ -121,6 +124,27 @@ def _alike_moved(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
         other = b[max(0, -y) : height + min(0, -y), max(0, -x) : width + min(0, -x)]
         found = max(found, _alike(one, other))
     return found
+
+
+def unmoved(light_field: LightField) -> str | None:
+    """Return a sentence if even the views that are farthest apart show the same but for noise; else None."""
+    if min(light_field.size) < SMALLEST:
+        return None
+    lines = [(axis, line) for axis, line in ((0, light_field.row()), (1, light_field.column())) if len(line) > 1]
+    ends = {int(line[end(light_field.offsets[line, axis])]) for axis, line in lines for end in (np.argmin, np.argmax)}
+    ends.discard(light_field.reference_index)
+    top, left = (max(0, side - AROUND) // 2 for side in light_field.size)
+    middle, *others = (
+        light_field.views[index, top : top + AROUND, left : left + AROUND].mean(axis=2) * light_field.scale
+        for index in (light_field.reference_index, *sorted(ends))
+    )
+    found = moves([(middle, other) for other in others])
+    if found is None or found.told or found.rms > _UNMOVED or middle.std() == 0:
+        return None
+    return (
+        "The views show no parallax, even those that are farthest apart: probably one camera took them from one place, "
+        "or the whole scene is far away."
+    )
 
 
 def contradiction(light_field: LightField) -> str | None:

@@ -306,6 +306,9 @@ def read(
     for name, count, least in (("every", every, 1), ("frame", frame, 0)):
         if count is not None:
             check_whole(name, count, least)
+    for name, flag in (("allow_missing", allow_missing), ("transpose", transpose), ("lazy", lazy)):
+        if not isinstance(flag, bool):
+            raise LightFieldError(f"{name} must be True or False, not {flag!r:.60}.")
     for name, text in (("format", format), ("pattern", pattern)):
         if text is not None and not isinstance(text, str):
             raise LightFieldError(f"{name} must be a text, not {text!r:.60}.")

@@ -115,7 +115,8 @@ def image_size(path: Path) -> tuple[int, int] | None:
     """Return (height, width) by the header of an image; None if it cannot be read, as `read_image` explains."""
     try:
         with pillow.opened(path) as image:
-            return (image.width, image.height) if _orientation(image) >= 5 else (image.height, image.width)
+            turned = _orientation(image) >= 5 and not isinstance(image, TiffImageFile)
+            return (image.width, image.height) if turned else (image.height, image.width)
     except Exception:  # decoders raise whatever comes to them when a file is damaged
         return None
 
@@ -126,17 +127,20 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
         return read_picture(path), {LINEAR}
     try:
         with pillow.opened(path) as image:
-            turn, remarks = _UPRIGHT.get(_orientation(image)), set[str]()
-            if isinstance(image, TiffImageFile):  # Pillow 13 takes grey pixels for stored in the size of what is shown
+            turn = _UPRIGHT.get(_orientation(image))
+            remarks = set() if turn is None else {TURNED}
+            if isinstance(image, TiffImageFile):  # Pillow turns it, but takes grey pixels for stored as they are shown
                 image._size = (image.tag_v2[_WIDTH_TAG], image.tag_v2[_HEIGHT_TAG])
+                turn = None
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
                 inverted = _white_is_zero(image)
                 pixels = _pixels(path, image)
                 if inverted:
-                    pixels, remarks = _inverted(pixels), {INVERTED}
-            return (pixels, remarks) if turn is None else (turn(pixels), remarks | {TURNED})
+                    pixels = _inverted(pixels)
+                    remarks.add(INVERTED)
+            return (pixels if turn is None else turn(pixels)), remarks
     except UnidentifiedImageError:
         with path.open("rb") as file:
             if file.read(4) in _TIFF_MAGIC:
@@ -145,8 +149,10 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
 
 
 def _orientation(image: Image.Image) -> int:
-    """Return the EXIF orientation, 1 to 8; 1 for a TIFF, which Pillow turns itself."""
-    if isinstance(image, TiffImageFile) or not image.info.get("exif"):
+    """Return the orientation that an image has to be turned by, 1 to 8."""
+    if isinstance(image, TiffImageFile):
+        return int(image.tag_v2.get(_ORIENTATION_TAG, 1))
+    if not image.info.get("exif"):
         return 1
     exif = Image.Exif()
     exif.load(image.info["exif"])
@@ -169,6 +175,8 @@ def _inverted(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
+    if image.mode in ("L", "RGB") and "transparency" in image.info:  # one value that is transparent
+        return np.asarray(image.convert(f"{image.mode}A"))
     if image.mode in ("1", "P", "PA"):
         grey = image.mode == "1"
         return np.asarray(image.convert("L" if grey else "RGBA" if image.has_transparency_data else "RGB"))

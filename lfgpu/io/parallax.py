@@ -42,8 +42,13 @@ class Moves:
     """[pairs, 2], x and y, in units of the same unknown length; of unknown common sign."""
     explained: float
     """Share of the motion that they explain, 0 to 1."""
-    still: bool
-    """True if nothing moves in any pair."""
+    rms: float
+    """Motion of the pictures, pixels."""
+
+    @property
+    def still(self) -> bool:
+        """True if nothing moves in any pair."""
+        return self.rms < _STILL
 
     @property
     def told(self) -> bool:
@@ -76,9 +81,9 @@ def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], fac
     total = float((matrix**2).sum())
     rms = factor * np.sqrt(total / max(float(weight.sum()) * len(pairs), 1e-12))
     if rms < _STILL or total == 0:
-        return Moves(np.zeros((len(pairs), 2)), 1.0, still=True)
+        return Moves(np.zeros((len(pairs), 2)), 1.0, 0.0)
     left, values, _ = np.linalg.svd(matrix, full_matrices=False)
-    return Moves((left[:, 0] * values[0]).reshape(2, -1).T, float(values[0] ** 2 / total), still=False)
+    return Moves((left[:, 0] * values[0]).reshape(2, -1).T, float(values[0] ** 2 / total), float(rms))
 
 
 def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

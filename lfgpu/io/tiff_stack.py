@@ -21,6 +21,7 @@ from lfgpu.io.limits import check_claim
 from lfgpu.io.tiff_pages import check_pages, pages
 
 _COLOURS = 4  # samples of a pixel; more are views
+_ORIENTATION = 274  # tag
 _SAMPLES = {"<": struct.pack("<H", 277), ">": struct.pack(">H", 277)}  # the tag SamplesPerPixel
 
 
@@ -111,6 +112,9 @@ def _axes(series: Any) -> str | None:
 
 
 def _check_whole(path: Path, file: Any) -> None:
+    tags = file.pages.first.tags
+    if _ORIENTATION in tags and tags[_ORIENTATION].value != 1:
+        raise LightFieldError(f"{path} has pages that are stored turned (orientation); save them upright.")
     end = path.stat().st_size
     for page in file.pages:
         spans = zip(page.dataoffsets, page.databytecounts, strict=True)

@@ -75,7 +75,8 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] |
         f"{remark[0].upper()}{remark[1:]} in {often} of {len(files)} views." for remark, often in counts.items()
     )
     valid = mask_of(masks, views.shape[:3])
-    return views.array(), valid, (*notes, *mask_notes(valid))
+    hidden = valid is None and any(mask is not None and not mask.all() for mask in masks)
+    return views.array(), valid, (*notes, *mask_notes(valid, hidden=hidden))
 
 
 def mask_of(masks: Sequence[NDArray[np.bool_] | None], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
@@ -89,8 +90,10 @@ def mask_of(masks: Sequence[NDArray[np.bool_] | None], shape: tuple[int, ...]) -
     return valid if valid.any() else None
 
 
-def mask_notes(valid: NDArray[np.bool_] | None) -> tuple[str, ...]:
-    """Describe a mask from transparency in notes."""
+def mask_notes(valid: NDArray[np.bool_] | None, *, hidden: bool) -> tuple[str, ...]:
+    """Describe a mask from transparency in notes; `hidden` says that all pixels are transparent."""
+    if hidden:
+        return ("All pixels are transparent, so transparency is not taken for a mask.",)
     return () if valid is None else (f"Transparent pixels are not valid: {100 * (1 - valid.mean()):.1f} %.",)
 
 

@@ -110,8 +110,35 @@ def test_pictures_that_contradict_their_places(true: LightField, tmp_path: Path)
     other = named(true, tmp_path / "other", "row{v}_col{u}.png")
     save(other / "row1_col1.png", make("boxes", grid=(1, 2), size=(96, 112), seed=4).views[0])
     assert "The picture at row 1, column 1 does not look like" in read(other).notes[-1]
+    for time in range(5):
+        noise = np.random.default_rng(time).normal(0, (0.5, 6)[time % 2], true.views[0].shape)
+        save(tmp_path / "one" / f"cam{time}.png", np.clip(true.views[0] + noise, 0, 255).astype(np.uint8))
+    assert "The views show no parallax, even those that are farthest apart" in read(tmp_path / "one").notes[-1]
     still = tmp_path / "still"
     for time in range(3):  # of which one camera after the other is told, without words
         for camera, view in enumerate(true.subset("row").views):
             save(still / f"{time}_{camera}.png", np.clip(view.astype(int) + 3 * time, 0, 255).astype(np.uint8))
     assert "the camera stood still between the views of a column" in read(still).notes[-1]
+
+
+def test_transparency_that_is_no_mask_and_pages_on_their_side(true: LightField, tmp_path: Path) -> None:
+    folder = tmp_path / "clear"
+    for n in range(2):
+        save(folder / f"cam{n}.png", np.concatenate([true.views[n], np.zeros_like(true.views[n][..., :1])], axis=-1))
+    assert "All pixels are transparent, so transparency is not taken for a mask." in read(folder).notes
+    value = true.views[0][5, 5]
+    for n in range(2):  # one colour that is transparent
+        Image.fromarray(true.views[n]).save(folder / f"cam{n}.png", transparency=tuple(map(int, value)))
+    found = read(folder)
+    assert found.valid is not None
+    np.testing.assert_array_equal(found.valid, (true.views[:2] != value).any(axis=-1))
+    tifffile = pytest.importorskip("tifffile")
+    for view in true.views[:4]:
+        tifffile.imwrite(tmp_path / "a.tif", view, append=True, photometric="rgb", extratags=[(274, 3, 1, 6, True)])
+    assert "pages that are stored turned" in refusal(lambda: read(tmp_path / "a.tif"))
+
+
+def test_flags_are_true_or_false(true: LightField, tmp_path: Path) -> None:
+    folder = named(true, tmp_path, "row{v}_col{u}.png")
+    for flag in ("transpose", "allow_missing", "lazy"):
+        assert f"{flag} must be True or False, not 'no'" in refusal(lambda flag=flag: read(folder, **{flag: "no"}))
