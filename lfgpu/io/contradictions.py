@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.mapping import is_mapped
+from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.io.flips import ORDERS, reordered
 from lfgpu.io.parallax import AROUND, FITS, SMALLEST, beside, fit, grey_of, moves, shrunk
 
@@ -31,6 +31,7 @@ _WAYS = (
 
 def contradictions(light_field: LightField) -> tuple[str, ...]:
     """Say in sentences how the pictures contradict the places of their cameras; empty if they do not."""
+    check_unchanged(light_field.views)
     found = (look(light_field) for look in (no_parallax, copied, upside_down, contradiction, other_scenes, unmoved))
     return tuple(islice((sentence for sentence in found if sentence is not None), 1))
 

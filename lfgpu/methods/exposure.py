@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.mapping import check_unchanged
 
 _SIDE = 256  # pixels: about as many rows and columns of the reference view are looked at
 _BRIGHT = 99  # percentile: what is brighter may be lamps and glints
@@ -18,6 +19,7 @@ def exposure_of(lf: LightField) -> float:
     It is the smallest of these numbers that is not below the bright parts of the reference view, so views that use the
     upper half of the range have 1. The methods scale by it what they compare intensities with.
     """
+    check_unchanged(lf.views)
     step = max(1, min(lf.size) // _SIDE)
     view = lf.views[lf.reference_index, ::step, ::step]
     values = view if lf.valid is None else view[lf.valid[lf.reference_index, ::step, ::step]]

@@ -12,6 +12,8 @@ from samples import refusal
 import lfgpu
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
+from lfgpu.io.contradictions import contradictions
+from lfgpu.methods.exposure import exposure_of
 
 
 @pytest.fixture
@@ -29,7 +31,8 @@ def test_a_file_that_was_cut_short(mapped: tuple[Path, LightField]) -> None:
     """Reading beyond its end would end the process (SIGBUS)."""
     path, lf = mapped
     os.truncate(path, 4096)
-    for use in (_uses, lambda lf: lf.image(8), lambda lf: lf.subset([1, 2]), lambda lf: lf.downsampled(2)):
+    uses = (lambda lf: lf.image(8), lambda lf: lf.subset([1, 2]), lambda lf: lf.downsampled(2), contradictions)
+    for use in (_uses, exposure_of, *uses):
         text = refusal(lambda use=use: use(lf))  # type: ignore[misc]
         assert text == f"{path} was written anew while it was in use; read it again."
 
