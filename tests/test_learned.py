@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,10 +22,10 @@ SIZE, COUNT, STEP = (45, 37), 12, 0.25
 MAPS = "disparity", "probability", "deviation"
 
 
-def some_views(rng: np.random.Generator) -> tuple[ViewLayout, np.ndarray]:
+def some_views(rng: np.random.Generator, channels: int = 3) -> tuple[ViewLayout, np.ndarray]:
     offsets = np.array([(u, v) for v in (-1, 0, 1) for u in (-1, 0, 1)], np.float64)
-    layout = ViewLayout(offsets, 4, SIZE, 3, np.dtype(np.uint8), 1 / 255)
-    blurred = rng.random((9, *SIZE, 3)).cumsum(2)
+    layout = ViewLayout(offsets, 4, SIZE, channels, np.dtype(np.uint8), 1 / 255)
+    blurred = rng.random((9, *SIZE, channels)).cumsum(2)
     return layout, np.rint(255 * (blurred / blurred.max())).astype(np.uint8)
 
 
@@ -36,18 +37,21 @@ def maps(
     network = Network(Arena(device), weights, layout, COUNT, stored=stored)
     outputs = [device.zeros(SIZE) for _ in MAPS]
     for _ in range(2):  # the second call finds what the first one left in the buffers
-        network.load(device.image(views), None)
+        network.load(device.image(views), None if layout.masks is None else device.field(np.stack(layout.masks)))
         network(device.field(first), step=STEP, **{f"{name}_out": out for name, out in zip(MAPS, outputs, strict=True)})
     return [kernels.numpy(output) for output in outputs]
 
 
 @pytest.mark.parametrize("backend", ["warp", "taichi"])
-@pytest.mark.parametrize(("stored", "share"), [(np.float32, 0.99), (np.float16, 0.85)])
+@pytest.mark.parametrize(("stored", "share", "channels"), [(np.float32, 0.99, 3), (np.float16, 0.85, 1)])
 def test_backends_give_the_maps_of_the_reference(
-    backend: str, stored: type, share: float, rng: np.random.Generator
+    backend: str, stored: type, share: float, channels: int, rng: np.random.Generator
 ) -> None:
+    """Of views in colour, and of grey ones with masks."""
     pytest.importorskip(backend)
-    weights, (layout, views) = random_weights(rng, WIDTHS), some_views(rng)
+    weights, (layout, views) = random_weights(rng, WIDTHS), some_views(rng, channels)
+    if channels == 1:
+        layout = replace(layout, masks=tuple(rng.random((9, *SIZE)) < 0.9))
     first = np.round(rng.uniform(-2.2, -1.8, SIZE) * 64).astype(np.float32) / 64
     want = maps("reference", weights, layout, views, first)
     got = maps(backend, weights, layout, views, first, stored)

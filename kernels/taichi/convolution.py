@@ -1,5 +1,6 @@
 """Convolutions of volumes; `kernels/reference/convolution.py` says what they are."""
 
+import math
 from typing import Any
 
 import taichi as ti
@@ -9,11 +10,12 @@ from lfgpu.contract import Convolution, Float32Array
 from .memory import DeviceArray, field, flat
 from .runtime import once, run
 
-_TOGETHER = 4  # channels of the output that a thread computes
+_MOST = 8  # channels of the output that a thread computes
 
 
 @once
-def _kernel(stored: Any, result: Any, adds: bool, rectified: bool) -> Any:
+def _kernel(stored: Any, result: Any, adds: bool, rectified: bool, together: int) -> Any:
+    """Return the kernel whose threads compute so many channels of the output each."""
     volumes = flat(stored)
 
     @ti.kernel
@@ -42,13 +44,13 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool) -> Any:
         slices = (labels + stride_l - 1) // stride_l
         rows = (height + stride_y - 1) // stride_y
         columns = (width + stride_x - 1) // stride_x
-        groups = outputs // _TOGETHER
+        groups = outputs // together
         for i in range(slices * rows * columns * groups):
-            c = i % groups * _TOGETHER
+            c = i % groups * together
             x = i // groups % columns
             y = i // groups // columns % rows
             slice_ = i // groups // columns // rows
-            sums = ti.Vector([0.0 for _ in range(_TOGETHER)])
+            sums = ti.Vector([0.0 for _ in range(together)])
             for k in range(kernel_l * kernel_y * kernel_x):
                 tl = slice_ * stride_l + k // kernel_x // kernel_y - kernel_l // 2
                 ty = y * stride_y + k // kernel_x % kernel_y - kernel_y // 2
@@ -58,12 +60,12 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool) -> Any:
                     weight = k * inputs * outputs + c
                     for j in range(inputs):
                         value = ti.cast(volume[there + j], ti.f32)
-                        for g in ti.static(range(_TOGETHER)):
+                        for g in ti.static(range(together)):
                             sums[g] += weights[weight + j * outputs + g] * value
             more = slice_ * more_labels // slices * more_rows + y * more_rows // rows
             more = (more * more_columns + x * more_columns // columns) * outputs + c
             here = (((at + slice_) * rows + y) * columns + x) * outputs + c
-            for g in ti.static(range(_TOGETHER)):
+            for g in ti.static(range(together)):
                 value = sums[g] + bias[c + g]
                 if ti.static(adds):
                     value += ti.cast(added[more + g], ti.f32)
@@ -83,7 +85,9 @@ class _Convolution:
 
     def __call__(self, volume: DeviceArray, added: DeviceArray | None, volume_out: DeviceArray, *, at: int = 0) -> None:
         window, (inputs, outputs) = self._weights.shape[:3], self._weights.shape[3:]
-        convolve = _kernel(volume.scalar, volume_out.scalar, added is not None, self._rectified)
+        convolve = _kernel(
+            volume.scalar, volume_out.scalar, added is not None, self._rectified, math.gcd(outputs, _MOST)
+        )
         more = volume if added is None else added
         arrays = volume.values, self._weights.values, self._bias.values, more.values
         sizes = *volume.shape, inputs, outputs, *window, *self._strides, *more.shape

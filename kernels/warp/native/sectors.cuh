@@ -21,7 +21,7 @@ void find_sector_costs(
     bool there[SECTORS];
     for (int c = 0; c < CHANNELS; ++c) reference[c] = gain * image.data[p].c[c];
     auto cost_of = [](float difference) { return 0.25f * logf(1.f + difference * (1.f / UNIT)); };
-    // A value of a pixel. An integer in the lowest place of the float 2^23 adds its value to it: a conversion takes longer.
+    // A value of a pixel. An integer in the lowest place of the float 2^23 adds its value to it, without a conversion.
     auto value_of = [](WORDS pixel, int c) {
 #if BYTES == 1
         return __uint_as_float(__byte_perm(pixel, 0x4b000000u, 0x7440u | c)) - 8388608.f;
