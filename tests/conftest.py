@@ -149,6 +149,13 @@ def _skipped(target: Target) -> Any:
     return pytest.param(target, marks=pytest.mark.skip(reason=f"{target}: {target.reason}"))
 
 
+@pytest.fixture(autouse=True)
+def nothing_kept(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Captures are decoded in each test, and nothing is left in the cache of the user."""
+    place = tmp_path_factory.getbasetemp() / f"decoded-{secrets.token_hex(4)}"
+    monkeypatch.setattr("lfgpu.io.lenslet.kept.folder", lambda: place)
+
+
 @pytest.fixture
 def others(request: pytest.FixtureRequest) -> list[Target]:
     """All backends x devices but the reference that can be tried."""

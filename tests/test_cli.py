@@ -57,6 +57,7 @@ def test_depth_writes_what_reads_back(solved: tuple[Path, Outcome], scene: Light
 
 def test_depth_says_what_it_did(solved: tuple[Path, Outcome]) -> None:
     said = solved[1].out
+    assert re.search(rf"^  lfgpu view \S+ {re.escape(str(solved[0]))}$", said, re.MULTILINE)
     for words in ("25 of 25", "56 x 48 px", "row 2, column 2", "larger is nearer (given range -2.00 to 2.00)"):
         assert words in said
     result = read_result(solved[0] / "result.npz")

@@ -16,6 +16,7 @@ from walls import SIZE, wall
 
 from lfgpu import scenes
 from lfgpu.cli import app
+from lfgpu.cli.options import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_pfm
 from lfgpu.methods import preset
@@ -210,3 +211,8 @@ def test_a_port_that_is_taken_is_passed_over() -> None:
         Place(65536)
     for place in (first, second):
         place.socket.close()
+
+
+def test_commands_to_look_read_as_what_was_done_did() -> None:
+    reading = Reading(grid="2x3", names="cam{u}", transpose=True, frame=0)
+    assert reading.words() == ["--grid", "2x3", "--pattern", "cam{u}", "--frame", "0", "--transpose"]

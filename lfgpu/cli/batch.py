@@ -225,9 +225,11 @@ def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 
 def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:
+    from lfgpu.batch.manifest import DONE
     from lfgpu.batch.names import MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
     from lfgpu.batch.report import facts
     from lfgpu.cli import console as shown
+    from lfgpu.cli.summary import show_next
     from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE
 
     shown.heading(console, out.resolve().name)
@@ -245,3 +247,5 @@ def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> 
             (REPORT_FILE, "all results on one page"),
         ],
     )
+    done = [item for item in summary.items if summary.entries.get(item.name, {}).get("status") == DONE]
+    show_next(console, *(("lfgpu", "view", item.source, out / item.name) for item in done[:1] if item.frame is None))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -74,14 +73,13 @@ def _draw_overview(lf: LightField, result: DepthResult, scores: dict[str, Metric
 
 
 def _show_next(out: Path) -> None:
-    from lfgpu.cli.console import heading, output
+    from lfgpu.cli.console import output
+    from lfgpu.cli.summary import show_next
 
-    console = output()
-    heading(console, "Try next")
-    views, cross = shlex.quote(str(out / _LIGHT_FIELD)), shlex.quote(f"{out}-cross")
-    for command in (
-        f"lfgpu depth {views} -o {cross} --views cross",
-        f"lfgpu eval {cross} {views}",
-        f"lfgpu view {views} {shlex.quote(str(out))}",
-    ):
-        console.print(f"  {command}", soft_wrap=True)
+    views, cross = out / _LIGHT_FIELD, f"{out}-cross"
+    show_next(
+        output(),
+        ("lfgpu", "depth", views, "-o", cross, "--views", "cross"),
+        ("lfgpu", "eval", cross, views),
+        ("lfgpu", "view", views, out),
+    )

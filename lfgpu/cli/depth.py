@@ -126,6 +126,7 @@ def depth(
     summary.show_scores(console, lf, result)
     summary.show_remarks(console, result.remarks)
     summary.show_outputs(console, out, files)
+    summary.show_next(console, ("lfgpu", "view", source, out, *reading.words()))
 
 
 def _write_report(

@@ -221,7 +221,7 @@ def live(
         stats = stream.stats()
     record.finish(stream, stats)
     if not quiet:
-        _show(stream, stats, record)
+        _show(stream, stats, record, recording)
 
 
 class Record:
@@ -479,8 +479,9 @@ def _all(*functions: Callable[[StreamResult], None]) -> Callable[[StreamResult],
     return call
 
 
-def _show(stream: DepthStream, stats: dict[str, Any], record: Record) -> None:
+def _show(stream: DepthStream, stats: dict[str, Any], record: Record, recording: Path | None) -> None:
     from lfgpu.cli.console import lines, output, remark
+    from lfgpu.cli.summary import show_next
 
     console = output()
     low, high = stream.bounds
@@ -494,3 +495,5 @@ def _show(stream: DepthStream, stats: dict[str, Any], record: Record) -> None:
         remark(console, f"... and {len(record.failed) - 3} more frames failed.")
     if record.out is not None:
         lines(console, [("recorded", str(record.out))])
+        if recording is not None:
+            show_next(console, ("lfgpu", "view", recording, record.out))

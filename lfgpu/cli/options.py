@@ -129,6 +129,13 @@ class Reading:
         found["grid"] = values.parse_grid(self.grid)
         return {name: value for name, value in found.items() if value not in (None, "", False)}
 
+    def words(self) -> list[str]:
+        """Return the options that were given as words of a command line, as `lfgpu view` takes them."""
+        names = {"format_name": "format", "names": "pattern"}
+        found = [(f"--{names.get(one.name, one.name)}", getattr(self, one.name)) for one in fields(Reading)]
+        given = [(name, value) for name, value in found if value not in (None, "", False)]
+        return [word for name, value in given for word in ([name] if value is True else [name, str(value)])]
+
 
 @dataclass(frozen=True)
 class ReadingIncomplete(Reading):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import shlex
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from lfgpu.cli import console as shown
@@ -108,6 +110,15 @@ def show_outputs(console: Console, folder: object, files: list[tuple[str, str]])
     """Print the list of written files."""
     shown.heading(console, f"Written to {folder}")
     shown.lines(console, files)
+
+
+def show_next(console: Console, *commands: Sequence[object]) -> None:
+    """Print commands, as words, that show or use what was written; nothing if there are none."""
+    if not commands:
+        return
+    shown.heading(console, "Try next")
+    for command in commands:
+        console.print(f"  {' '.join(shlex.quote(str(word)) for word in command)}", soft_wrap=True)
 
 
 def _times(result: DepthResult) -> str:

@@ -11,6 +11,7 @@ from lfgpu.io import lytro, pillow
 from lfgpu.io.images import read_image
 from lfgpu.io.inside import Inside
 from lfgpu.io.lenslet import capture
+from lfgpu.io.lenslet.kept import kept
 from lfgpu.io.lytro.container import is_container
 
 _LEAST_SIDE = 256  # pixels: no sensor under microlenses is smaller
@@ -39,10 +40,13 @@ def read_lenslet(
     white: str | os.PathLike[str] | None = None,
     views: int | None = None,
 ) -> LightField:
-    """Read the light field of a raw capture; parameters and errors as of `decode.decode`."""
+    """Read the light field of a raw capture, decoded or kept from the last time; parameters and errors as of
+    `decode.decode`.
+    """
     from lfgpu.io.lenslet.decode import decode  # scipy is not for those who read something else
 
-    return decode(path, bayer=bayer, white=white, views=views).light_field
+    files = [Path(path), *([] if white is None else [Path(white)])]
+    return kept(files, (bayer, views), lambda: decode(path, bayer=bayer, white=white, views=views).light_field)
 
 
 def inside(path: Path) -> Inside:
