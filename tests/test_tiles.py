@@ -91,6 +91,28 @@ def test_tiles_give_the_map_that_is_found_in_one_piece(
     assert {*whole.timings} == {*found.timings}
 
 
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    ("size", "share"),
+    [
+        ((384, 384), 0.0), ((390, 410), 0.5), ((401, 433), 0.9), ((64, 900), 0.1), ((900, 64), 0.3),
+        ((333, 520), 0.6), ((520, 333), 0.2), ((450, 450), 0.0), ((371, 612), 0.4), ((480, 390), 0.8),
+    ],
+)  # fmt: skip
+def test_every_limit_between_the_smallest_tiles_and_one_piece_gives_tiles(size: tuple[int, int], share: float) -> None:
+    """`share` of the way from the least memory to that of one piece."""
+    lf = scenes.make("boxes", grid=(3, 3), size=size, disparity_range=(-0.7, 0.7), noise=0.01, seed=sum(size))
+    config = preset("fast").with_values({"sweep.noise": 0.01})
+    cuts = [tiles._cuts(side, edge)[-1][1] for side, edge in zip(size, halo(lf, config), strict=True)]
+    least, most = memory_for(lf, config, *cuts), memory_for(lf, config, *size)
+    found = in_tiles(lf, config, int(least + share * (most - least)))
+    assert " tiles of " in found.status
+    expected = estimate_depth(lf, config=config, disparity_range=RANGE, device="cpu")
+    for name, values in {**expected.stages, "confidence": expected.confidence}.items():
+        ours = found.confidence if name == "confidence" else found.stages[name]
+        assert np.abs(ours - values).max() < TOLERANCE, name
+
+
 def test_patches_without_texture_are_those_found_in_one_piece() -> None:
     """As far as halos reach beyond them: from what their paths bring along. Filling stops by the residual of a tile."""
     rows = {
