@@ -32,6 +32,9 @@ def frames() -> tuple[LightField, ...]:
     return tuple(scenes.make(name, grid=(3, 3), size=SIZE, disparity_range=RANGE) for name in ("planes", "boxes"))
 
 
+CHECKED = "-fsanitize=address,undefined -fno-sanitize-recover=all"
+"""Flags with which a program ends at the first access outside of its memory, at leaks and at undefined behaviour."""
+
 FILM = 5
 """Frames: a scene that moves, and then another one."""
 
@@ -58,7 +61,7 @@ def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if cmake is None or not (libraries / "warp.so").is_file() or shutil.which("c++") is None:
         pytest.skip("no CMake, no C++ compiler, or no libraries of Warp for it to link with, here")
     folder = tmp_path_factory.mktemp("cmake")
-    flags = f"-DWARP={libraries.parent}", "-DCMAKE_CXX_FLAGS=-O1 -Wall -Wextra -Werror"
+    flags = f"-DWARP={libraries.parent}", f"-DCMAKE_CXX_FLAGS=-O1 -Wall -Wextra -Werror {CHECKED}"
     run(cmake, "-S", NATIVE, "-B", folder / "build", *flags)
     run(cmake, "--build", folder / "build")
     run(cmake, "--install", folder / "build", "--prefix", folder / "installed")
@@ -176,7 +179,8 @@ def test_the_library_in_a_project_of_its_own(built: Path, tmp_path: Path) -> Non
         "cmake_minimum_required(VERSION 3.16)\nproject(user CXX)\nfind_package(lfgpu_replay REQUIRED)\n"
         "add_executable(user main.cpp)\ntarget_link_libraries(user lfgpu::lfgpu_replay)\n"
     )
-    run("cmake", "-S", tmp_path / "user", "-B", tmp_path / "build", f"-DCMAKE_PREFIX_PATH={built}")
+    flags = f"-DCMAKE_PREFIX_PATH={built}", f"-DCMAKE_CXX_FLAGS={CHECKED}"
+    run("cmake", "-S", tmp_path / "user", "-B", tmp_path / "build", *flags)
     run("cmake", "--build", tmp_path / "build")
     done = subprocess.run([tmp_path / "build" / "user", tmp_path / "out"], capture_output=True, text=True, timeout=600)
     assert done.stdout == "nowhere/replay.txt cannot be read; give a folder that lfgpu export made.|1\n", done.stderr
