@@ -34,6 +34,7 @@ class Fault:
 _PRINTED = "tests/test_printed_equations.py"
 _MATRIX = "tests/kernels/test_matrix.py"
 _GPU = "tests/kernels/test_gpu_kernels.py"
+_FORMULAS = "tests/test_formulas.py"
 FAULTS = (
     Fault(
         "λ doubled",
@@ -272,6 +273,139 @@ FAULTS = (
         '(("missing", lost),) if lost else ()',
         '(("missing", lost),) if lf.missing else ()',
         ("tests/test_report.py", "-k", "meant_to_be_empty"),
+    ),
+    Fault(
+        "the longest change that the noise does not scale",
+        "lfgpu/methods/synthesis/units.py",
+        "longest_change=times * refinement.longest_change",
+        "longest_change=refinement.longest_change",
+        (_FORMULAS, "-k", "twice_the_noise"),
+    ),
+    Fault(
+        "acceptance with what hid something in another map",
+        "lfgpu/methods/synthesis/acceptance.py",
+        "        self._hiding(start, self._nearest)\n",
+        "",
+        (_FORMULAS, "-k", "acceptance"),
+    ),
+    Fault(
+        "confidence with what hid something in another map",
+        "lfgpu/methods/synthesis/acceptance.py",
+        "        self._hiding(disparity, self._nearest)\n",
+        "",
+        (_FORMULAS, "-k", "acceptance"),
+    ),
+    Fault(
+        "masks sheared the other way",
+        "lfgpu/methods/structure_tensor.py",
+        "np.round(columns - shear * offset)",
+        "np.round(columns + shear * offset)",
+        (_FORMULAS, "-k", "shear_brings"),
+    ),
+    Fault(
+        "likeness of frames without the noise",
+        "lfgpu/methods/matching/temporal.py",
+        "self._temporal.tolerance * self.noise",
+        "self._temporal.tolerance",
+        (_FORMULAS, "-k", "two_frames"),
+    ),
+    Fault(
+        "tiles that have converged if one has",
+        "lfgpu/pipelines/tiles.py",
+        "converged=all(result",
+        "converged=any(result",
+        (_FORMULAS, "-k", "tiles_have"),
+    ),
+    Fault(
+        "the mask of the first views in the place of the used ones'",
+        "lfgpu/pipelines/stream.py",
+        "engine.solve(level, result.valid[self._used])",
+        "engine.solve(level, result.valid[: len(self._used)])",
+        (_FORMULAS, "-k", "without_a_picture"),
+    ),
+    Fault(
+        "frames numbered without the lock",
+        "lfgpu/pipelines/stream.py",
+        "        with self._numbering:\n            self._inbox",
+        "        if True:\n            self._inbox",
+        (_FORMULAS, "-k", "numbered"),
+    ),
+    Fault(
+        "the nearest pixel truncated",
+        "lfgpu/pipelines/all_views.py",
+        "(self._y + 0.5).astype(np.intp), (self._x + 0.5).astype",
+        "self._y.astype(np.intp), self._x.astype",
+        (_FORMULAS, "-k", "nearest_pixel"),
+    ),
+    Fault(
+        "vignetting not against the reference",
+        "lfgpu/cameras/tones.py",
+        "(falloff - gain * v / g) / g",
+        "falloff / g",
+        (_FORMULAS, "-k", "tones_are"),
+    ),
+    Fault(
+        "the middle of a view with width and height exchanged",
+        "lfgpu/cameras/tones.py",
+        "at[..., 0] - (width - 1) / 2, at[..., 1] - (height - 1) / 2",
+        "at[..., 0] - (height - 1) / 2, at[..., 1] - (width - 1) / 2",
+        (_FORMULAS, "-k", "from_the_middle"),
+    ),
+    Fault(
+        "samples that are half masked are valid",
+        "lfgpu/calibration/resample.py",
+        "share[..., 0] > 0.99",
+        "share[..., 0] > 0.4",
+        (_FORMULAS, "-k", "between_a_valid"),
+    ),
+    Fault(
+        "half a pixel dropped where pictures are scaled",
+        "lfgpu/calibration/rig.py",
+        "((cx + 0.5) * across - 0.5, (cy + 0.5) * down - 0.5)",
+        "(cx * across, cy * down)",
+        (_FORMULAS, "-k", "half_the_size"),
+    ),
+    Fault(
+        "the diagonal in the place of half of it",
+        "lfgpu/cameras/screening.py",
+        "float(np.hypot(*lf.size)) / 2",
+        "float(np.hypot(*lf.size))",
+        (_FORMULAS, "-k", "half_diagonal"),
+    ),
+    Fault(
+        "a lattice turned the other way",
+        "lfgpu/io/lenslet/decode.py",
+        "[[c, s], [-s, c]]",
+        "[[c, -s], [s, c]]",
+        (_FORMULAS, "-k", "turned_as_it_states"),
+    ),
+    Fault(
+        "nearer surfaces preferred where no map agrees",
+        "lfgpu/viz/rendering.py",
+        "np.maximum(seen[0] - disparity, 0)",
+        "np.maximum(disparity - seen[0], 0)",
+        (_FORMULAS, "-k", "farther_surface"),
+    ),
+    Fault(
+        "half-masked pixels in refocusing",
+        "lfgpu/viz/refocusing.py",
+        "> 1 - 1e-3",
+        "> 0.4",
+        (_FORMULAS, "-k", "half_masked"),
+    ),
+    Fault(
+        "error maps of the opposite sign",
+        "lfgpu/comparison.py",
+        "np.asarray(values, np.float32) - np.asarray(truth, np.float32)",
+        "np.asarray(truth, np.float32) - np.asarray(values, np.float32)",
+        (_FORMULAS, "-k", "too_near"),
+    ),
+    Fault(
+        "below and above exchanged in what is said of a camera",
+        "lfgpu/cameras/findings.py",
+        "'below' if y > 0 else 'above'",
+        "'above' if y > 0 else 'below'",
+        ("tests/calibration/test_judge.py", "-k", "moved"),
     ),
 )
 
