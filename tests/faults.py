@@ -284,15 +284,15 @@ FAULTS = (
     Fault(
         "acceptance with what hid something in another map",
         "lfgpu/methods/synthesis/acceptance.py",
-        "        self._hiding(start, self._nearest)\n",
-        "",
+        "self._hiding(start, self._nearest)",
+        "if self._hiding is None: self._hiding(start, self._nearest)",
         (_FORMULAS, "-k", "acceptance"),
     ),
     Fault(
         "confidence with what hid something in another map",
         "lfgpu/methods/synthesis/acceptance.py",
-        "        self._hiding(disparity, self._nearest)\n",
-        "",
+        "self._hiding(disparity, self._nearest)",
+        "if self._hiding is None: self._hiding(disparity, self._nearest)",
         (_FORMULAS, "-k", "acceptance"),
     ),
     Fault(
@@ -306,7 +306,7 @@ FAULTS = (
         "likeness of frames without the noise",
         "lfgpu/methods/matching/temporal.py",
         "self._temporal.tolerance * self.noise",
-        "self._temporal.tolerance",
+        "self._temporal.tolerance * 0.01",
         (_FORMULAS, "-k", "two_frames"),
     ),
     Fault(
@@ -321,7 +321,7 @@ FAULTS = (
         "lfgpu/pipelines/stream.py",
         "engine.solve(level, result.valid[self._used])",
         "engine.solve(level, result.valid[: len(self._used)])",
-        (_FORMULAS, "-k", "without_a_picture"),
+        (_FORMULAS, "-k", "told_by_their_place"),
     ),
     Fault(
         "frames numbered without the lock",
@@ -369,7 +369,7 @@ FAULTS = (
         "the diagonal in the place of half of it",
         "lfgpu/cameras/screening.py",
         "float(np.hypot(*lf.size)) / 2",
-        "float(np.hypot(*lf.size))",
+        "float(np.hypot(*lf.size)) / 1",
         (_FORMULAS, "-k", "half_diagonal"),
     ),
     Fault(

@@ -19,7 +19,9 @@ from lfgpu.calibration.rig import matched
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.tones import match_tones, squared_radius_at
 from lfgpu.contract import Device
+from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.io.lenslet.decode import _expected
 from lfgpu.io.lytro.camera import MicrolensArray
@@ -118,16 +120,17 @@ def test_tiles_have_converged_if_all_have() -> None:
         assert not _joined(lf, plan, results, 0.1).converged
 
 
-def test_cameras_without_a_picture_that_are_not_used_change_nothing() -> None:
+def test_cameras_without_a_picture_are_told_by_their_place_among_the_used_ones() -> None:
     lf = scenes.make("planes", grid=(5, 5), size=(40, 44))
-    present = np.ones(25, bool)
-    present[[0, 1, 5]] = False  # in no row or column with the reference
-    with lfgpu.DepthStream(
-        lf, config="fast", disparity_range=RANGE, device="cpu", policy="block", prior=None
-    ) as stream:
-        assert not set(stream.used_views) & {0, 1, 5}
-        whole, some = (stream.push(lf.views, valid=valid).numpy() for valid in (None, present))
-    np.testing.assert_array_equal(whole, some)
+    present, told = np.ones(25, bool), []
+    present[[0, 22]] = False  # a corner, which is not used, and the last view of the reference's column, which is
+    with lfgpu.DepthStream(lf, config="fast", disparity_range=RANGE, device="cpu", policy="block") as stream:
+        solve = stream._engine.solve
+        stream._engine.solve = lambda level, there: (told.append(there.tolist()), solve(level, there))[1]  # type: ignore[method-assign]
+        stream.push(lf.views, valid=present).numpy()
+        used = stream.used_views
+    assert sorted(used) == [2, 7, 10, 11, 12, 13, 14, 17, 22]
+    assert told == [[n != 22 for n in used]]
 
 
 def test_frames_of_several_threads_are_numbered_one_by_one() -> None:
@@ -154,6 +157,23 @@ def test_frames_of_several_threads_are_numbered_one_by_one() -> None:
             thread.join()
     assert not met
     assert sorted(result.index for result in results) == [0, 1]
+
+
+# --- geometry ---
+
+
+def test_the_middle_of_a_view_is_straight_ahead() -> None:
+    points = Geometry(focal_length_px=100, baseline_m=0.1).points(np.full((5, 7), 2.0))
+    assert points[2, 3] == pytest.approx([0, 0, 5])
+    assert points[0, 0] == pytest.approx([-0.15, -0.1, 5])
+
+
+@pytest.mark.parametrize(("kind", "times"), [("uint8", 1), ("uint16", 257), ("float32", 1 / 255)])
+def test_points_have_the_colours_of_the_picture_in_bytes(kind: str, times: float) -> None:
+    image = (np.full((2, 3, 1), 200) * times).astype(kind)
+    cloud = lfgpu.point_cloud(DisparityMap(np.ones((2, 3), np.float32)), image=image)
+    assert cloud.colors is not None
+    assert (cloud.colors == 200).all()
 
 
 # --- all views, new views, pictures ---
@@ -205,7 +225,7 @@ def test_a_place_in_a_view_has_its_distance_from_the_middle() -> None:
 def test_tones_are_those_with_which_the_views_were_made() -> None:
     rng, count, points = np.random.default_rng(3), 5, 4000
     gain, offset, falloff = np.array([[1, 1.1, 0.9, 1.2, 1], [0, 0.02, -0.01, 0, 0.01], [0, -0.1, 0.05, -0.2, 0.1]])
-    radius2, shown = rng.uniform(0, 1, (count, points)), rng.uniform(0.2, 0.7, points)
+    radius2, shown = np.tile(rng.uniform(0, 1, points), (count, 1)), rng.uniform(0.2, 0.7, points)
     views = (gain[:, None] + falloff[:, None] * radius2) * shown + offset[:, None]
     found = match_tones(views, np.ones_like(views), radius2, 0, vignetting=True)
     for values, want in zip(found, (gain, offset, falloff), strict=True):
