@@ -217,6 +217,20 @@ def test_what_is_too_near_is_red_and_what_is_too_far_blue() -> None:
 # --- cameras ---
 
 
+def test_lenses_distort_as_opencv_defines_them() -> None:
+    k1, k2, p1, p2, k3, x, y = 0.1, -0.02, 0.03, -0.05, 0.04, 0.5, 0.25
+    r = math.hypot(x, y)
+    radial = 1 + k1 * r**2 + k2 * r**4 + k3 * r**6
+    across = x * radial + 2 * p1 * x * y + p2 * (r**2 + 2 * x**2)
+    down = y * radial + p1 * (r**2 + 2 * y**2) + 2 * p2 * x * y
+    camera = Calibrated((100, 200), (300.0, 310.0), (99.5, 20.5), distortion=(k1, k2, p1, p2, k3))
+    assert camera.project([x, y, 1]) == pytest.approx([300 * across + 99.5, 310 * down + 20.5])
+    angle, k = math.atan(r), (0.1, -0.02, 0.03, 0.04)
+    bent = angle * (1 + k[0] * angle**2 + k[1] * angle**4 + k[2] * angle**6 + k[3] * angle**8) / r
+    fisheye = Calibrated((100, 200), (300.0, 310.0), (99.5, 20.5), distortion=k, model="fisheye")
+    assert fisheye.project([x, y, 1]) == pytest.approx([300 * x * bent + 99.5, 310 * y * bent + 20.5])
+
+
 def test_a_place_in_a_view_has_its_distance_from_the_middle() -> None:
     places = np.array([(2.0, 1.0), (0.0, 0.0), (4.0, 1.0), (2.0, 2.0)])
     assert squared_radius_at(places, (3, 5)) == pytest.approx(np.array([0, 5, 4, 1]) * 4 / 34)

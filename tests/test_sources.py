@@ -266,7 +266,8 @@ def test_every_source_is_in_the_help() -> None:
         assert source.form in text
 
 
-def test_a_scene_that_moves_is_made_before_it_is_played() -> None:
+def test_a_scene_that_moves_is_made_before_it_is_played(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.pipelines.sources.scene._SAID_AGAIN", 1e9)  # on a busy machine it takes some seconds
     said: list[str] = []
     frames = open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, say=said.append)).frames
     assert said == ["Making 24 frames of the scene moving, which then repeat."]
