@@ -39,6 +39,7 @@ def demo(
     console = output()
     rows, columns = GRID
     console.print(f"Making {rows * columns} views of {_SCENE}, seed {seed}, then estimating the depth of one ...")
+    console.print("The first estimate on a machine compiles kernels for up to a minute.")
     lf = make(_SCENE, seed=seed, grid=GRID, size=SIZE)
     result = Estimation(preset("accurate")).run(lf, quiet=False)
     summary.show_input(console, lf)
@@ -79,7 +80,7 @@ def _show_next(out: Path) -> None:
     views, cross = out / _LIGHT_FIELD, f"{out}-cross"
     show_next(
         output(),
+        ("lfgpu", "view", views, out),
         ("lfgpu", "depth", views, "-o", cross, "--views", "cross"),
         ("lfgpu", "eval", cross, views),
-        ("lfgpu", "view", views, out),
     )

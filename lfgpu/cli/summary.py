@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shlex
+import shutil
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.cli import console as shown
@@ -117,8 +121,16 @@ def show_next(console: Console, *commands: Sequence[object]) -> None:
     if not commands:
         return
     shown.heading(console, "Try next")
-    for command in commands:
-        console.print(f"  {' '.join(shlex.quote(str(word)) for word in command)}", soft_wrap=True)
+    for _, *words in commands:
+        console.print(f"  {program()} {' '.join(shlex.quote(str(word)) for word in words)}", soft_wrap=True)
+
+
+def program() -> str:
+    """Return the name by which a shell finds lfgpu from this folder, also in an environment that is not active."""
+    beside = Path(sys.executable).with_name("lfgpu")
+    if shutil.which("lfgpu") or not beside.exists():
+        return "lfgpu"
+    return shlex.quote(os.path.relpath(beside))
 
 
 def _times(result: DepthResult) -> str:
