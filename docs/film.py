@@ -1,4 +1,4 @@
-"""The film at the head of the README: a scene seen from a moving camera, refocused, and its disparity map beside it.
+"""The film of the site's first page: a scene seen from a moving camera, refocused, and its disparity map beside it.
 
 python docs/film.py MY/LIGHT_FIELD    # writes docs/film.webp
 """

@@ -22,9 +22,9 @@ RETURNED = {
     "BackendError", "BackendInfo", "Config", "DepthResult", "DisparityMap", "Explanation", "FrameDroppedError",
     "LfgpuError", "LightFieldError", "PointCloud", "Rectifier", "RenderedView", "StreamResult", "ViewsResult",
     "calibration.Calibration", "calibration.Camera", "calibration.CameraInfo", "calibration.Rectified",
-    "calibration.Refinement", "calibration.RigWatch", "metrics.Metrics", "metrics.Sparsification", "Viewer",
+    "calibration.Refinement", "calibration.RigWatch", "metrics.Metrics", "metrics.Sparsification",
 }  # fmt: skip
-"""Classes that functions return or raise, in whose examples they are, and two that wait for people or cameras."""
+"""Classes that functions return or raise, in whose examples they are, and one that waits for cameras to move."""
 
 
 def named(name: str) -> Any:

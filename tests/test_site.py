@@ -54,9 +54,10 @@ def test_benchmarks_come_after_guides_in_searches(tmp_path: Path) -> None:
     assert max(scores[:2]) < min(scores[2:]) - 30
 
 
-def test_the_film_is_small_and_its_script_draws_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_films_are_small_and_the_script_draws_one(monkeypatch: pytest.MonkeyPatch) -> None:
     film = module(DOCS / "film.py")
     assert film.FILM.stat().st_size < 600_000
+    assert (DOCS / "viewer.webp").stat().st_size < 600_000
     with Image.open(film.FILM) as committed:
         assert committed.n_frames > 2 * film.FRAMES - 10  # equal frames in a row are one
     monkeypatch.setattr(film, "FRAMES", 2)

@@ -41,6 +41,12 @@ class Viewer(Board):
     ------
     LightFieldError
         If viser or tornado is not installed, or the result is not of the light field's size.
+
+    Examples
+    --------
+    >>> with lfgpu.Viewer(lf, result, port=0) as viewer:
+    ...     viewer.url.startswith("http://127.0.0.1:")
+    True
     """
 
     def __init__(
