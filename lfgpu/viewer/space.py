@@ -37,6 +37,8 @@ _BEHIND = (0.12, -0.09, -0.3)  # the same where the cameras are to be seen, too
 _NEAR = 3.0  # the cloud counts as not farther than so many times its nearest points, for these distances
 _WIDEST, _STEPS_BACK = 1.2, 12  # tangent of half the largest angle of view: the eye steps back rather than see more
 
+_UNHEARD = logging.getLogger("lfgpu.viewer.space")  # else nonsense from others is on the terminal
+_UNHEARD.setLevel(logging.CRITICAL)
 _starting = threading.Lock()  # one server at a time is guarded while it starts
 
 
@@ -374,7 +376,7 @@ def _guarded(token: str) -> Iterator[None]:
                 return connection.respond(HTTPStatus.FORBIDDEN, "This is a part of lfgpu view.\n")
             return process_request(connection, replace(request, path=f"/{rest}"))
 
-        return serve(handler, *arguments, process_request=answer, origins=[None], **options)
+        return serve(handler, *arguments, process_request=answer, origins=[None], logger=_UNHEARD, **options)
 
     place.serve = guarded  # type: ignore[misc,assignment]
     try:

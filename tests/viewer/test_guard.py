@@ -118,6 +118,25 @@ def test_a_process_that_can_open_nothing_more_says_so_once_and_goes_on(caplog: p
     ]
 
 
+def test_strangers_at_the_scene_in_space_leave_no_traceback(
+    viewer: Viewer, caplog: pytest.LogCaptureFixture, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from lfgpu.viewer.space import Space
+
+    space = Space(viewer, lambda x, y: None)
+    try:
+        for words in (b"nonsense\r\n\r\n", b"GET / HTTP/1.1\r\n\r\n", b"\xff" * 100 + b"\r\n\r\n", b""):
+            with socket.create_connection(("127.0.0.1", space.port), 30) as connection:
+                connection.sendall(words)
+                connection.shutdown(socket.SHUT_WR)
+                while connection.recv(1000):
+                    pass
+    finally:
+        space.close()
+    assert not [record for record in caplog.records if record.exc_info]
+    assert "Traceback" not in capfd.readouterr().err
+
+
 def test_nothing_is_reached_from_elsewhere(viewer: Viewer) -> None:
     port = urlsplit(viewer.url).port
     assert port is not None
