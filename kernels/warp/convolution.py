@@ -31,7 +31,14 @@ def _kernel(
     on_cpu = function == "convolve_rows"
     names = "KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"
     numbers: dict[str, Any] = dict(zip(names, (*shape, *strides), strict=True))
-    numbers |= {"PADDED": _padded(outputs), "TILES": tiles, "APART": _apart(inputs), "RECTIFIED": int(rectified)}
+    spread = _spread(shape, strides) if on_cpu else 1
+    numbers |= {
+        "PADDED": _padded(spread * outputs),
+        "SPREAD": spread,
+        "TILES": tiles,
+        "APART": _apart(inputs),
+        "RECTIFIED": int(rectified),
+    }
     numbers |= {"STORED": c_type(stored, for_vectors=on_cpu), "RESULT": c_type(result, for_vectors=on_cpu)}
     types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
     kind = "_".join(map(str, (*shape, *strides, int(rectified), stored.__name__, result.__name__)))
@@ -41,6 +48,11 @@ def _kernel(
     if tiles:
         return kernel("convolution.cuh", "convolve_tiles", module=module, **types, **numbers)
     return kernel("convolution.cuh", "convolve_voxels", module=module, **types, **numbers)
+
+
+def _spread(shape: tuple[int, ...], strides: _Strides) -> int:
+    """Return how many taps of a row a CPU takes for channels: all of them if they fit into a vector, else one."""
+    return shape[2] if shape[2] * shape[4] <= _LANES and strides[2] == 1 else 1
 
 
 def _padded(channels: int) -> int:
@@ -81,10 +93,12 @@ class _Convolution:
     ) -> None:
         self._shape, self._strides, self._rectified = weights.shape, strides, rectified
         self._device = wp.get_device(device)
-        more = _padded(len(bias)) - len(bias)
+        if self._device.is_cpu and _spread(weights.shape, strides) > 1:
+            weights = weights.swapaxes(2, 3).reshape(*weights.shape[:2], 1, weights.shape[3], -1)
+        more = _padded(weights.shape[-1]) - weights.shape[-1]
         padded = np.pad(weights, [(0, 0)] * 4 + [(0, more)]).reshape(-1)
         self._weights = wp.array(padded, dtype=float, device=self._device)
-        self._bias = wp.array(np.pad(bias, (0, more)), dtype=float, device=self._device)
+        self._bias = wp.array(bias, dtype=float, device=self._device)
         # What is no GPU at all stands for one in tests.
         has_tensor_cores = not self._device.is_cpu and self._device.arch not in range(1, _AMPERE)
         self._tiles = _tiles(weights.shape, strides) if has_tensor_cores else 0

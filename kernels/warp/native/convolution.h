@@ -2,11 +2,12 @@
 //
 // A thread computes some rows, several pixels at a time: all sums of these stay in registers, so that each weight that
 // is read serves all of these pixels, and each number of the volume all channels of the output. What the pixels need of
-// the volume is copied first, as floats and with zeros beyond the border.
+// the volume is copied first, as floats and with zeros beyond the border. Where channels are few, SPREAD is KX instead
+// of one: the taps of a row are channels as well, each for a pixel beside it, and are added up at the end.
 #pragma once
 #include "lfgpu.h"
 
-// Compute the rows [l, y] from `first` to before `last`; weights are [KL, KY, KX, CI, PADDED].
+// Compute the rows [l, y] from `first` to before `last`; weights are [KL, KY, TAPS, CI, PADDED].
 void convolve_rows(
     Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added, int first, int last,
     Array3<Out> volume_out) {
@@ -16,9 +17,10 @@ void convolve_rows(
 #else
     constexpr int LANES = 8, REGISTERS = 12;
 #endif
-    constexpr int PARTS = (CO + LANES - 1) / LANES;
+    constexpr int PARTS = (CO * SPREAD + LANES - 1) / LANES, TAPS = KX / SPREAD;
     constexpr int PIXELS = REGISTERS >= 2 * PARTS ? (REGISTERS / PARTS < 12 ? REGISTERS / PARTS : 12) : 1;
     constexpr int NEEDED = ((PIXELS - 1) * SX + KX) * CI;  // of a row of the volume
+    constexpr int PLACES = PIXELS + SPREAD - 1;
     typedef float Lanes __attribute__((vector_size(4 * LANES), aligned(4)));
 
     const int labels = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
@@ -26,7 +28,7 @@ void convolve_rows(
     const STORED* const from = (const STORED*)volume.data;
     const STORED* const more = (const STORED*)added.data;
     RESULT* const to = (RESULT*)volume_out.data;
-    float patch[KL * KY][NEEDED], results[PIXELS][PARTS * LANES];
+    float patch[KL * KY][NEEDED], results[PLACES][PARTS * LANES];
 
     for (int row = first; row < last; ++row) {
         const int l = row / rows, y = row - l * rows;
@@ -58,31 +60,35 @@ void convolve_rows(
                 }
             }
 
-            Lanes sums[PIXELS][PARTS];
+            Lanes sums[PLACES][PARTS];
             #pragma unroll
-            for (int j = 0; j < PIXELS; ++j)
+            for (int j = 0; j < PLACES; ++j)
                 #pragma unroll
-                for (int v = 0; v < PARTS; ++v) sums[j][v] = *(const Lanes*)(bias.data + v * LANES);
+                for (int v = 0; v < PARTS; ++v) sums[j][v] = Lanes{};
             const float* weight = weights.data;
             for (int k = 0; k < KL * KY; ++k) {
                 const float* const part = patch[k];
-                for (int i = 0; i < KX * CI; ++i, weight += PADDED) {
+                for (int i = 0; i < TAPS * CI; ++i, weight += PADDED) {
                     Lanes here[PARTS];
                     #pragma unroll
                     for (int v = 0; v < PARTS; ++v) here[v] = *(const Lanes*)(weight + v * LANES);
                     #pragma unroll
-                    for (int j = 0; j < PIXELS; ++j)
+                    for (int j = 0; j < PLACES; ++j)
                         #pragma unroll
                         for (int v = 0; v < PARTS; ++v) sums[j][v] += here[v] * part[j * SX * CI + i];
                 }
             }
 
             #pragma unroll
-            for (int j = 0; j < PIXELS; ++j)
+            for (int j = 0; j < PLACES; ++j)
                 #pragma unroll
                 for (int v = 0; v < PARTS; ++v) *(Lanes*)(results[j] + v * LANES) = sums[j][v];
             for (int j = 0; j < PIXELS && x + j < columns; ++j) {
-                float* const result = results[j];
+                float result[CO];
+                for (int c = 0; c < CO; ++c) {
+                    result[c] = bias.data[c];
+                    for (int s = 0; s < SPREAD; ++s) result[c] += results[j + s][s * CO + c];
+                }
                 if (more) {
                     const STORED* const other = more_row + (x + j) / apart * CO;
                     for (int c = 0; c < CO; ++c) result[c] += (float)other[c];
