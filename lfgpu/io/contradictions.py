@@ -128,24 +128,39 @@ def _alike_moved(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 
 def unmoved(light_field: LightField) -> str | None:
-    """Return a sentence if even the views that are farthest apart show the same but for noise; else None."""
+    """Return a sentence if no view in the row and column of the reference moves against it, or one far away does not;
+    else None."""
     if min(light_field.size) < SMALLEST:
         return None
-    lines = [(axis, line) for axis, line in ((0, light_field.row()), (1, light_field.column())) if len(line) > 1]
-    ends = {int(line[end(light_field.offsets[line, axis])]) for axis, line in lines for end in (np.argmin, np.argmax)}
-    ends.discard(light_field.reference_index)
     top, left = (max(0, side - AROUND) // 2 for side in light_field.size)
-    middle, *others = (
-        light_field.views[index, top : top + AROUND, left : left + AROUND].mean(axis=2) * light_field.scale
-        for index in (light_field.reference_index, *sorted(ends))
-    )
-    found = moves([(middle, other) for other in others])
-    if found is None or found.told or found.rms > _UNMOVED or middle.std() == 0:
+
+    def middle(index: int) -> NDArray[np.float64]:
+        part = light_field.views[index, top : top + AROUND, left : left + AROUND]
+        return np.asarray(part.mean(axis=2, dtype=np.float64) * light_field.scale)
+
+    here, centre = light_field.reference_index, middle(light_field.reference_index)
+    lines = {int(n) for line in (light_field.row(), light_field.column()) for n in line} - {here}
+    far = {n: float(np.hypot(*light_field.offsets[n])) for n in lines}
+    ends = [n for n in lines if far[n] == max(far.values())]
+    found = moves([(centre, middle(n)) for n in ends])
+    if found is None or centre.std() == 0:
         return None
-    return (
-        "The views show no parallax, even those that are farthest apart: probably one camera took them from one place, "
-        "or the whole scene is far away."
-    )
+    if not found.told and found.rms < _UNMOVED:
+        return (
+            "The views show no parallax, even those that are farthest apart: probably one camera took them from one "
+            "place, or the whole scene is far away."
+        )
+    motion = {n: moved.rms for n in lines if (moved := moves([(centre, middle(n))])) is not None}
+    nearest = min(far.values())
+    usual = min(motion[n] for n in lines if far[n] == nearest)
+    for n in sorted(lines):
+        if far[n] >= 2 * nearest and motion[n] < _LESS * usual > _LESS * _UNMOVED:
+            u, v = light_field.positions[n]
+            return (
+                f"The picture at row {v:g}, column {u:g} shows the scene from the place of the reference: perhaps "
+                "colours, times or exposures are taken for cameras."
+            )
+    return None
 
 
 def contradiction(light_field: LightField) -> str | None:

@@ -275,8 +275,10 @@ def _table(file: Path, value: Any, name: str, known: set[str]) -> Mapping[str, A
     if not isinstance(value, dict):
         raise LightFieldError(f"{file}: {what} must be a table of {', '.join(sorted(known))}.")
     if unknown := sorted(set(value) - known):
+        calibration = not name and not {"frames", "cameras", "cameraData"}.isdisjoint(unknown)
         raise LightFieldError(
             f"{file}: {what} has an unknown entry {_shown(unknown[0])}; known are {', '.join(sorted(known))}."
+            + " It looks like a calibration, which lfgpu rectify takes (--calibration)." * calibration
         )
     return value
 

@@ -217,11 +217,12 @@ def _name_rest(
 _DATE_AND_TIME = re.compile(
     r"(?<!\d)(\d{4})[-_.]?(\d\d)[-_.]?(\d\d)(?:[-_ T.]*(\d\d)[-_.:]?(\d\d)[-_.:]?(\d\d)(?:[-_.]?\d{3})?)?(?!\d)"
 )
+_BETWEEN = re.compile(r"[-_.: ]")  # hours, minutes and seconds
 
 
 def _moments(names: Sequence[Name]) -> dict[int, str]:
     """Find the numbers that are dates and times of day, with the reason."""
-    found = None
+    found: set[int] | None = None
     for name in names:
         stem = "".join(x for pair in zip(name.texts, (*name.digits, ""), strict=True) for x in pair)
         ends = accumulate(len(text) + len(digits) for text, digits in zip(name.texts, name.digits, strict=False))
@@ -232,20 +233,24 @@ def _moments(names: Sequence[Name]) -> dict[int, str]:
                 here |= {k for k, (start, end) in enumerate(spans) if match.start() <= start and end <= match.end()}
         here |= {k for k, text in enumerate(name.digits) if len(text) >= _NO_PLACE}
         found = here if found is None else found & here
-    return dict.fromkeys(found or _times_of_day(names), "it is a date or time")
+    found = found or set()
+    return dict.fromkeys(found | _times_of_day(names, dated=bool(found)), "it is a date or time")
 
 
-def _times_of_day(names: Sequence[Name]) -> set[int]:
-    """Three numbers of two digits beside each other that may be hours, minutes and seconds, and are no full grid."""
-    for k in range(len(names[0].digits) - 2):
-        three = [name.numbers[k : k + 3] for name in names]
-        apart = all(re.fullmatch(r"[-_.: ]", text) for name in names for text in name.texts[k + 1 : k + 3])
-        short = all(len(text) == 2 for name in names for text in name.digits[k : k + 3])
-        seconds = {number[2] for number in three}
-        minutes = {number[1] for number in three}
-        full = len(minutes) > 1 and len(set(three)) == len(minutes) * len(seconds)
-        if apart and short and not full and len(seconds) > 1 and max(map(max, three)) < 60:
-            return {k, k + 1, k + 2}
+def _times_of_day(names: Sequence[Name], *, dated: bool) -> set[int]:
+    """Three numbers beside each other that may be hours, minutes and seconds, and are no full grid; two if dates are
+    there, as well."""
+    for count in (3, 2)[: 1 + dated]:
+        for k in range(len(names[0].digits) - count + 1):
+            numbers = [name.numbers[k : k + count] for name in names]
+            texts = [text for name in names for text in name.texts[k + 1 : k + count]]
+            short = all(len(text) == 2 for name in names for text in name.digits[k + 1 : k + count])
+            hours = all(len(name.digits[k]) <= 2 and name.numbers[k] < 24 for name in names)
+            *_, before, last = (set(column) for column in zip(*numbers, strict=True))
+            full = len(before) > 1 and len(set(numbers)) == len(before) * len(last)
+            fits = short and hours and all(map(_BETWEEN.fullmatch, texts)) and max(map(max, numbers)) < 60
+            if fits and not full and len(last) > 1:
+                return set(range(k, k + count))
     return set()
 
 

@@ -35,6 +35,9 @@ _MOST = 10_000  # places of a row
 _LOOKED_AT = 64  # pictures that are compared to see how their cameras stood
 _OTHERS = 0.5  # of the pictures named alike: so many named otherwise may as well be the views
 
+_CALIBRATIONS = ("transforms.json", "transforms_train.json", "models.json", "poses_bounds.npy", "calib.json")
+"""Names of calibrations that are put beside pictures."""
+
 
 @dataclass(frozen=True)
 class _Found:
@@ -45,6 +48,8 @@ class _Found:
     left_out: tuple[Path, ...]
     rival: Path | None
     """One of the pictures that may as well be the views."""
+    alike: bool = False
+    """Whether these have the same numbers: names of cameras may differ in words, and numbers be times."""
 
 
 def recognise(path: Path, *, kind: str) -> str | None:
@@ -133,7 +138,7 @@ def read_numbered(
         notes.append(
             f"Left out {len(found.left_out)} of the images, not named as the others: {listed(found.left_out)}."
         )
-    naming, chosen = _at_one_time(path, found.naming, frame)
+    naming, chosen = _at_one_time(path, found.naming, frame, allow_missing=allow_missing)
     notes += chosen
     naming = _of_one_size(path, naming, notes, allow_missing=allow_missing)
     rows, columns, cameras = (naming.of(meaning) for meaning in (ROW, COLUMN, CAMERA))
@@ -210,7 +215,10 @@ def _found(path: Path, pattern: str | None = None, kind: str | None = None) -> _
     many = [k for k in kinds if k is not chosen and len(k) > 1]
     rivals = [k for k in many if len(k) > _OTHERS * len(chosen) or k[0].file.parent not in folders]
     left_out = tuple(file for file in own if file not in mine)
-    return _Found(path, understood(chosen), left_out, rivals[0][0].file if rivals else None)
+    if not rivals:
+        return _Found(path, understood(chosen), left_out, None)
+    alike = {name.numbers for name in rivals[0]} == {name.numbers for name in chosen}
+    return _Found(path, understood(chosen), left_out, rivals[0][0].file, alike)
 
 
 def _may_be_views(kind: Sequence[Name]) -> bool:
@@ -228,12 +236,16 @@ def _names_places(naming: Naming) -> bool:
 def _rivals(path: Path, found: _Found) -> str:
     assert found.rival is not None
     mine, other = found.naming.files[0], found.rival
-    if mine.parent != other.parent:
+    what = "folders" if mine.parent != other.parent else "names"
+    times = (
+        f" If these {what} are cameras and the numbers times, count the cameras in them, such as cam0 and cam1."
+    ) * found.alike
+    if what == "folders":
         folders = f"{mine.parent.name}, {other.parent.name}"
-        return f"{path} has several folders with numbered images ({folders}); give one."
+        return f"{path} has several folders with numbered images ({folders}); give one.{times}"
     return (
         f"{path} has images named in different ways: {mine.name} and {other.name}; say which are the views with "
-        f'--pattern "{found.naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.'
+        f'--pattern "{found.naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.{times}'
     )
 
 
@@ -255,12 +267,19 @@ def _question(path: Path, naming: Naming) -> str | None:
     if unknown and folders and naming.numbers[folders[-1]].varies:
         names = sorted({file.relative_to(path).parts[0] for file in naming.files})
         listed_names = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
-        inside = next((k for k, n in enumerate(naming.numbers) if n.varies and k > folders[-1]), folders[-1])
-        camera, other = (folders[-1], inside) if at.get(CAMERA) == folders[-1] else (inside, folders[-1])
+        at_folder, inside = folders[-1], [k for k, n in enumerate(naming.numbers) if n.varies and k > folders[-1]]
+        if ROW in at and COLUMN in at:
+            proposed = f'"{naming.pattern({at_folder: "t"})}" for times'
+        else:
+            last = inside[0] if inside else at_folder
+            camera, other = (at_folder, last) if at.get(CAMERA) == at_folder else (last, at_folder)
+            proposed = (
+                f'"{naming.pattern({at_folder: "v", last: "u"})}" for rows and columns or '
+                f'"{naming.pattern({camera: "u", other: "t"})}" for cameras and times'
+            )
         return (
             f"{path} has several folders with numbered images ({listed_names}); give one, or say what the numbers "
-            f'count with --pattern, such as "{naming.pattern({folders[-1]: "v", inside: "u"})}" for rows and columns '
-            f'or "{naming.pattern({camera: "u", other: "t"})}" for cameras and times (pattern= in Python).'
+            f"count with --pattern, such as {proposed} (pattern= in Python)."
         )
     if unknown or unclear:
         return (
@@ -307,7 +326,7 @@ def _times(naming: Naming) -> list[tuple[int, ...]]:
     return sorted(set(_values(times)))
 
 
-def _at_one_time(path: Path, naming: Naming, frame: int | None) -> tuple[Naming, list[str]]:
+def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing: bool) -> tuple[Naming, list[str]]:
     times = _times(naming)
     if frame is not None and not 0 <= frame < len(times):
         raise LightFieldError(
@@ -315,10 +334,16 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None) -> tuple[Naming,
         )
     if len(times) == 1:
         return naming, []
-    wanted = times[frame or 0]
+    wanted, every = times[frame or 0], set(_places(naming))
     kept = [k for k, time in enumerate(_values(naming.of(TIME))) if time == wanted]
     naming = _part(naming, kept)
-    cameras = len(set(_places(naming)))
+    places, cameras = set(_places(naming)), len(every)
+    if len(places) < cameras and not allow_missing:
+        raise LightFieldError(
+            f"{path} has pictures of {len(places)} of its {cameras} cameras at time {frame or 0}, "
+            f"{naming.files[0].name}; add the others, number alike the times that belong together, or pass "
+            "allow_missing=True (--allow-missing on the command line)."
+        )
     return naming, [
         f"There are {cameras} cameras and {len(times)} times; this is time {frame or 0} ({naming.files[0].name} "
         "...): take another with frame=1 (--frame 1 on the command line), or all with lfgpu batch or lfgpu live."
@@ -422,6 +447,10 @@ def _read_row(
             f"{path} lacks {len(lost)} of the {count} views that its numbers from {first} to {last_number} count "
             f"(number {', '.join(map(str, lost[:5]))}{', ...' if len(lost) > 5 else ''}); add them, or pass "
             "allow_missing=True (--allow-missing on the command line) to go without."
+        )
+    if calibration := next((path / name for name in _CALIBRATIONS if (path / name).is_file()), None):
+        notes.append(
+            f"{calibration.name} may say where the cameras stand: lfgpu rectify takes it (--calibration {calibration})."
         )
     why = naming.sentence(path)
     if grid is None:

@@ -37,7 +37,15 @@ Random = np.random.Generator
 LIES = ("transposed", "flipped", "alternating", "upside down", "one picture", "turned")
 """Ways to contradict: words for the other axis, columns from the right, every second row from the right, some pictures
 upside down, all pictures equal, all pictures turned by 90 degrees."""
-WARNINGS = ("By their parallax", "the same picture", "upside down", "does not look like", "repeat in the picture")
+WARNINGS = (
+    "By their parallax",
+    "the same picture",
+    "upside down",
+    "does not look like",
+    "from the place of",
+    "no parallax",
+    "repeat in the picture",
+)
 """Words of the notes on contradictions."""
 _SIZE, _GRID, _SCENES = (72, 88), 5, 6
 _SAME = 0.995  # correlation of a view with its picture, JPEG included
@@ -132,7 +140,7 @@ def drawn(rng: Random) -> Scene:
 _BEFORE = (
     *("", "", "", "img", "IMG", "view", "lf_", "scene7", "run 02", "DSC", "cam", "camera ", "2024-02-29", "20240229"),
     *("v2", "f2.8", "iso100", "120mm", "take-3", "rgb", "left", "0", "x264", "R5", "c1", "row of 9", "Lytro40"),
-    *("frame", "t0", "out", "out_7", "sensor1", "col", "4K", "y", "u", "3x3", "v1.2.3", "S01E02", "X-T4", "100_"),
+    *("frame", "t0", "out", "out_7", "sensor1", "4K", "y", "u", "3x3", "v1.2.3", "S01E02", "X-T4", "100_"),
     *("1_1", "exp8"),
 )
 _AFTER = ("", "", "", "", "rgb", "8bit", "1920x1080", "v2", "final", "left", "12", "x2", "f4", "(1)", "r", "0", "px")
@@ -188,7 +196,7 @@ def _pictures(scene: Scene, place: Path, rng: Random) -> Told:
     time_word = pick(rng, ("frame", "t", "time", "", "Frame", "shot", "take")) if times > 1 else ""
     time_digits = pick(rng, (1, 2, 4, 6))
     before, after = pick(rng, _BEFORE), pick(rng, _AFTER)
-    if scheme not in ("words", "camera") and before.rstrip("0") in ("frame", "t", "col", "y", "u"):
+    if scheme not in ("words", "camera") and before.rstrip("0") in ("frame", "t", "y", "u"):
         before = ""  # a word that the number behind it would count
     between = [pick(rng, _BETWEEN) for _ in range(8)]
     folders = len(fields) == 2 and rng.random() < 0.25
@@ -309,7 +317,7 @@ def _array(scene: Scene, place: Path, rng: Random) -> Told:
         try:
             tifffile.imwrite(path, stored, photometric="minisblack", **extra)
         except ValueError:  # ImageJ has one order only
-            tifffile.imwrite(path, stored, photometric="minisblack", metadata=None)
+            tifffile.imwrite(path, stored, photometric="minisblack")
             kind = "tif"
     return Told(path, f"{kind} {order} {stored.shape}", answers)
 

@@ -114,6 +114,10 @@ def test_pictures_that_contradict_their_places(true: LightField, tmp_path: Path)
         noise = np.random.default_rng(time).normal(0, (0.5, 6)[time % 2], true.views[0].shape)
         save(tmp_path / "one" / f"cam{time}.png", np.clip(true.views[0] + noise, 0, 255).astype(np.uint8))
     assert "The views show no parallax, even those that are farthest apart" in read(tmp_path / "one").notes[-1]
+    planes = true.views.reshape(12, 96, 112, 3)[:9].transpose(3, 0, 1, 2).reshape(27, 96, 112)
+    np.save(tmp_path / "planes.npy", planes)  # of colours that are taken for views
+    far = read(tmp_path / "planes.npy", grid=(1, 27)).notes[-1]
+    assert "By their parallax" in far or "from the place of the reference" in far
     still = tmp_path / "still"
     for time in range(3):  # of which one camera after the other is told, without words
         for camera, view in enumerate(true.subset("row").views):
@@ -142,3 +146,16 @@ def test_flags_are_true_or_false(true: LightField, tmp_path: Path) -> None:
     folder = named(true, tmp_path, "row{v}_col{u}.png")
     for flag in ("transpose", "allow_missing", "lazy"):
         assert f"{flag} must be True or False, not 'no'" in refusal(lambda flag=flag: read(folder, **{flag: "no"}))
+
+
+def test_words_that_may_name_cameras_and_calibrations_beside_pictures(true: LightField, tmp_path: Path) -> None:
+    for name in ("left/{u:04d}.png", "right/{u:04d}.png", "a/left_{u:04d}.png", "a/right_{u:04d}.png"):
+        named(true.subset("row"), tmp_path, name)
+    assert "If these names are cameras and the numbers times" in refusal(lambda: read(tmp_path / "a"))
+    (tmp_path / "b").mkdir()
+    for side in ("left", "right"):
+        (tmp_path / side).rename(tmp_path / "b" / side)
+    assert "If these folders are cameras and the numbers times" in refusal(lambda: read(tmp_path / "b"))
+    (tmp_path / "b" / "left" / "transforms.json").write_text('{"camera_angle_x": 1, "frames": []}')
+    assert "transforms.json may say where the cameras stand" in read(tmp_path / "b" / "left").notes[0]
+    assert "looks like a calibration" in refusal(lambda: read(tmp_path / "b" / "left" / "transforms.json"))

@@ -80,6 +80,10 @@ def test_cameras_and_times(true: LightField, tmp_path: Path) -> None:
     assert "4 cameras and 3 times; this is time 0 (cam00_frame0000.png" in first.notes[0]
     assert "camera (the word cam says so)" in first.reading.places
     assert "frame must be from 0 to 2" in refusal(lambda: read(tmp_path, frame=3))
+    (tmp_path / "cam03_frame0001.png").rename(tmp_path / "cam03_frame0002b.png")
+    assert "pictures of 3 of its 4 cameras at time 1" in refusal(lambda: read(tmp_path, frame=1))
+    assert len(read(tmp_path, frame=1, allow_missing=True).views) == 3
+    (tmp_path / "cam03_frame0002b.png").rename(tmp_path / "cam03_frame0001.png")
     items, _ = find_items([str(tmp_path)], sequence=True)
     assert [(item.frame, item.sequence) for item in items] == [(time, str(tmp_path)) for time in range(3)]
     assert len(list(frames(str(tmp_path), Options()))) == 3
@@ -114,6 +118,8 @@ def test_patterns_say_what_numbers_count(true: LightField, tmp_path: Path) -> No
         ("PXL_20240229_1200{0:02d}123.png", "PXL_{date}_{time}.png"),
         ("shot 12-00-{0:02d}.png", None),
         ("17091935{0:02d}.png", "{date}.png"),
+        ("Screenshot 2024-02-29 at 9.05.{0:02d}.png", None),
+        ("2024-02-29_12-{0:02d}.png", None),
     ],
 )
 def test_dates_and_times_are_no_places(name: str, pattern: str | None, tmp_path: Path) -> None:
@@ -198,6 +204,14 @@ def test_folders_of_cameras_with_numbered_images_are_asked_about(tmp_path: Path)
     assert '"cam{u}/{t}.png" for cameras and times' in text
     found = read(tmp_path, pattern="cam{u}/{t}.png", frame=2)
     np.testing.assert_array_equal(found.views[1], picture(12))
+
+
+def test_folders_of_times_with_grids_are_asked_about(true: LightField, tmp_path: Path) -> None:
+    for time in range(2):
+        written(replace(true, views=np.roll(true.views, 5 * time, axis=2)), tmp_path / f"{time:05d}", WORDS["no words"])
+    pattern = asked(tmp_path).split('such as "')[1].split('"')[0]
+    assert pattern == "{t}/cam_{v}_{u}.png"
+    np.testing.assert_array_equal(read(tmp_path, pattern=pattern, frame=1).views, np.roll(true.views, 5, axis=2))
 
 
 def test_a_view_read_as_another_orientation_or_order_is_noticed(true: LightField, tmp_path: Path) -> None:
