@@ -49,7 +49,7 @@ class _Found:
     rival: Path | None
     """One of the pictures that may as well be the views."""
     alike: bool = False
-    """Whether these have the same numbers: names of cameras may differ in words, and numbers be times."""
+    """True if these have the same numbers: words may name cameras, and numbers times."""
 
 
 def recognise(path: Path, *, kind: str) -> str | None:
