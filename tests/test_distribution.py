@@ -142,7 +142,8 @@ def test_the_wheel_has_the_code_and_nothing_else(wheel: Path) -> None:
     expected |= {Path("lfgpu/kernels/warp/native", path.name) for path in (ROOT / "kernels/warp/native").iterdir()}
     expected |= {Path("lfgpu/py.typed")} | {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "native").iterdir()}
     expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "templates").glob("*.html")}
-    expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "viewer" / "page").iterdir()}
+    page = (ROOT / "lfgpu" / "viewer" / "page").rglob("*")
+    expected |= {path.relative_to(ROOT) for path in page if path.is_file()}
     moved = {Path("lfgpu", path) if path.parts[0] == "kernels" else path for path in expected}
     assert names == {path.as_posix() for path in moved}
 
