@@ -407,6 +407,34 @@ FAULTS = (
         "'above' if y > 0 else 'below'",
         ("tests/calibration/test_judge.py", "-k", "moved"),
     ),
+    Fault(
+        "a range that an interrupted estimate leaves behind",
+        "lfgpu/pipelines/pipeline.py",
+        "            if self.measured is not measured:",
+        "            if False:",
+        ("tests/test_range_confirmation.py", "-k", "interrupted"),
+    ),
+    Fault(
+        "a damaged ring that is read again and again",
+        "lfgpu/io/ring.py",
+        "            if newest == before:",
+        "            if False:",
+        ("tests/io/test_ring.py", "-k", "no_slot_holds and 7"),
+    ),
+    Fault(
+        "connections with the token that make room",
+        "lfgpu/viewer/guard.py",
+        "        self.site.door.know(connection.stream)",
+        "        self.site.door",
+        ("tests/viewer/test_guard.py", "-k", "make_room"),
+    ),
+    Fault(
+        "numbers for bright views with dim ones",
+        "lfgpu/methods/matching/noise.py",
+        "    if exposure == 1.0:",
+        "    if exposure:",
+        ("tests/test_matching.py", "-k", "few_steps and fast"),
+    ),
 )
 
 
