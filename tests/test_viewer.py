@@ -214,5 +214,5 @@ def test_a_port_that_is_taken_is_passed_over() -> None:
 
 
 def test_commands_to_look_read_as_what_was_done_did() -> None:
-    reading = Reading(grid="2x3", names="cam{u}", transpose=True, frame=0)
-    assert reading.words() == ["--grid", "2x3", "--pattern", "cam{u}", "--frame", "0", "--transpose"]
+    reading = Reading(grid="2x3", names="cam{u}", transpose=True, frame=1)
+    assert reading.words() == ["--grid", "2x3", "--pattern", "cam{u}", "--frame", "1", "--transpose"]

@@ -87,6 +87,7 @@ def _at(contents: Contents, query: Query) -> Any:
         return {"pixel": None, "values": {}, "other": {}}
     return {
         "pixel": found,
+        "colour": pictures.colour_at(contents, (du, dv), x, y),
         "values": pictures.values_at(contents, name, stage, *found),
         "other": pictures.values_at(contents, query.text("other", ""), FINAL, *found),
     }

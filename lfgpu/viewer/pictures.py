@@ -183,6 +183,17 @@ def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict
     return found
 
 
+def colour_at(contents: Contents, offset: tuple[float, float], x: float, y: float) -> list[float] | None:
+    """Return the stored values of a pixel of the view at an offset from the reference; None if there is none."""
+    lf = contents.lf
+    there = None if lf is None else np.flatnonzero((lf.offsets == offset).all(axis=1))
+    if lf is None or there is None or not there.size:
+        return None
+    height, width = lf.size
+    pixel = lf.views[there[0], int(np.clip(y, 0, height - 1)), int(np.clip(x, 0, width - 1))]
+    return [float(value) for value in pixel]
+
+
 def _value(contents: Contents, name: str, kind: str, stage: str, x: int, y: int) -> float | None:
     """Return one value of a map; None if it has none of this quantity."""
     entry, geometry = contents.all_entries()[name], contents.geometry

@@ -1,11 +1,10 @@
 // The scale of a map: its colours with numbers; a pointed end means that values lie beyond it.
 
 import { css } from "./colours.js";
+import { fitted } from "./elements.js";
 
 export function drawScale(canvas, { colours, low, high, extent }) {
-  const ratio = window.devicePixelRatio;
-  canvas.width = Math.max(1, Math.round(canvas.clientWidth * ratio));
-  canvas.height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+  const ratio = fitted(canvas);
   const context = canvas.getContext("2d"), styles = getComputedStyle(document.documentElement);
   context.scale(ratio, ratio);
   const wide = 18, left = 4, tip = 13, height = canvas.clientHeight, top = 16, bottom = height - 16;

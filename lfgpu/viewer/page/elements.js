@@ -8,6 +8,14 @@ export function element(name, values = {}, ...children) {
   return made;
 }
 
+/** Give a canvas as many pixels as the screen has there; returns how many for each of the page. */
+export function fitted(canvas) {
+  const ratio = window.devicePixelRatio;
+  canvas.width = Math.max(1, Math.round(canvas.clientWidth * ratio));
+  canvas.height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+  return ratio;
+}
+
 /** Fill a list with [value, text] pairs and choose one. */
 export function fill(select, options, chosen) {
   const wanted = JSON.stringify(options);

@@ -1,6 +1,7 @@
 // Epipolar plane images directly under and beside the view, in line with its pixels.
 
 import { paintView } from "./colours.js";
+import { fitted } from "./elements.js";
 import { mark } from "./picture.js";
 import { array, newest } from "./server.js";
 
@@ -22,9 +23,7 @@ export class Epi {
       this.draw();
     });
     new ResizeObserver(() => {
-      const ratio = window.devicePixelRatio;
-      canvas.width = Math.max(1, Math.round(canvas.clientWidth * ratio));
-      canvas.height = Math.max(1, Math.round(canvas.clientHeight * ratio));
+      fitted(canvas);
       this.draw();
     }).observe(canvas);
     view.viewport.onChange(() => this.draw());
@@ -104,17 +103,9 @@ export class Epi {
     };
     line(disparity, [["rgb(0 0 0 / 70%)", 5], [mark(), 2.5]]);
     line(tested, [["rgb(0 0 0 / 70%)", 5], ["#fff", 2.5]]);
-    context.strokeStyle = "#fff"; // a cross where the map has something in front
-    if (Number.isFinite(disparity)) ahead(disparity).forEach(([x, y], k) => {
-      if (!hidden.includes(views[k])) return;
-      const arm = Math.min(5 * ratio, thick / 2);
-      for (const side of [-1, 1]) {
-        context.lineWidth = 2 * ratio;
-        context.beginPath();
-        context.moveTo(x - arm, y - side * arm);
-        context.lineTo(x + arm, y + side * arm);
-        context.stroke();
-      }
+    Object.assign(context, { fillStyle: "#fff", strokeStyle: "#000", lineWidth: 3 * ratio, font: `bold ${16 * ratio}px sans-serif`, textAlign: "center", textBaseline: "middle" });
+    if (Number.isFinite(disparity)) ahead(disparity).forEach(([x, y], k) => { // a cross where the map has something in front
+      if (hidden.includes(views[k])) context.strokeText("×", x, y), context.fillText("×", x, y);
     });
     const row = views.indexOf(current);
     if (row >= 0 && thick > 3) { // the view that is shown

@@ -15,6 +15,7 @@ export class Estimate {
       this.#changes = {};
       this.#show();
     };
+    $("parameter-search").oninput = () => this.#search();
     $("stop").onclick = () => orTell(() => act("stop"));
     $("estimate").onsubmit = (event) => {
       event.preventDefault();
@@ -36,11 +37,18 @@ export class Estimate {
       element("h4", { textContent: name.replaceAll("_", " ") }), ...parameters.map((one) => this.#row(name, one)),
     ]));
     this.#count();
+    this.#search();
+  }
+
+  /** Show the parameters in whose names or sentences a word is. */
+  #search() {
+    const word = $("parameter-search").value.trim().toLowerCase();
+    for (const row of $("parameter-list").children) row.hidden = !row.textContent.toLowerCase().includes(word) && Boolean(word);
   }
 
   #row(section, one) {
     const name = `${section}.${one.name}`, value = this.#changes[name] ?? String(one.value);
-    const row = element("label", { title: `${one.about}${one.choices ? "" : `; ${one.low} to ${one.high}`}` });
+    const row = element("label"), about = `${one.about}${one.choices ? "" : ` (${one.low} to ${one.high})`}`;
     row.dataset.name = name;
     const field = one.choices
       ? element("select", {}, ...one.choices.map((choice) => element("option", { value: choice, textContent: choice })))
@@ -51,9 +59,11 @@ export class Estimate {
       if (field.value.trim() === String(one.value)) delete this.#changes[name];
       else this.#changes[name] = field.value.trim();
       row.classList.toggle("changed", name in this.#changes);
+      const value = Number(field.value), isNumber = field.value.trim() !== "" && Number.isFinite(value) && !(one.whole && value % 1);
+      row.classList.toggle("wrong", !one.choices && !(isNumber && value >= (one.low ?? -Infinity) && value <= (one.high ?? Infinity)));
       this.#count();
     };
-    row.append(element("span", { textContent: one.name.replaceAll("_", " ") }), field);
+    row.append(element("span", { textContent: one.name.replaceAll("_", " ") }), field, element("small", { textContent: about }));
     return row;
   }
 

@@ -192,7 +192,7 @@ const onMap = {
   },
   overlay: (context, place) => {
     if (ui.pixel) drawCross(context, place, ...ui.pixel);
-    if (ui.hover?.pixel) drawDot(context, place, ...ui.hover.pixel);
+    if (ui.hover?.pixel && (ui.hover.pane === "left" || mapsBeside().length > 1)) drawDot(context, place, ...ui.hover.pixel);
   },
   complete: () => takeLater(),
 };
@@ -238,8 +238,7 @@ function testDisparity(tested) {
   ui.set({ tested, plot: "costs", ...(ui.left === "refocused" ? { focus: tested } : {}) });
 }
 
-const askCosts = newest((query) => values("costs", query), (costs, { key }) => ui.set({ costs: { ...costs, key } }));
-const askDifference = newest((query) => values("difference", query), (found, { key }) => ui.set({ difference: { ...found, key } }));
+const [askCosts, askDifference] = ["costs", "difference"].map((name) => newest((query) => values(name, query), (found, { key }) => ui.set({ [name]: { ...found, key } })));
 
 /** What is drawn of the chosen pixel under the map. */
 function showPlot() {
@@ -565,6 +564,7 @@ function showReadout() {
       said.push(part(label.toLowerCase(), number(value), value === null ? "" : unit.replace(" per view step", "")));
       if (ui.other && other !== undefined && kind === ui.quantity) said.push(part(named(ui.other), number(other), "", "dim"));
     }
+    if (at.colour) said.push(part("colour", at.colour.map((value) => (Number.isInteger(value) ? value : number(value, 3))).join(" "), ""));
   }
   $("readout").replaceChildren(...said);
 }
@@ -632,6 +632,7 @@ ui.on("found", takeLater);
 function takeNow(next) {
   const before = state;
   state = next;
+  takenLast = performance.now();
   const other = !before || before.lightField?.name !== state.lightField?.name || String(before.size) !== String(state.size)
     || before.lightField?.views !== state.lightField?.views;
   if (other && state.size) {
@@ -733,20 +734,14 @@ function showFindings() {
   $("read").replaceChildren($("read").firstElementChild, ...read.map((textContent) => element("p", { textContent, className: "muted" })));
 }
 
-let loadingSince = 0;
+let takenLast = 0;
 
 function showLoading() {
-  $("loading").hidden = !state.loading;
-  if (!state.loading) return;
-  loadingSince = performance.now() / 1000 - state.loading.seconds;
-  tick();
+  const { text, seconds } = state?.loading ?? {};
+  $("loading").hidden = !text;
+  $("loading-text").textContent = `${text} (${Math.floor(seconds + (performance.now() - takenLast) / 1000)} s)`;
 }
-
-function tick() {
-  if (!state?.loading) return;
-  $("loading-text").textContent = `${state.loading.text} (${Math.floor(performance.now() / 1000 - loadingSince)} s)`;
-}
-setInterval(tick, 500);
+setInterval(showLoading, 500);
 
 function showStream() {
   const { rate, latency, dropped, paused, recording, switches } = state.stream;
@@ -769,10 +764,7 @@ function showStream() {
 
 const pick = (id, name, turn = (value) => value) => ($(id).onchange = () => ui.set({ [name]: turn($(id).value) }));
 const slide = (id, name) => ($(id).oninput = () => ui.set({ [name]: $(id).valueAsNumber }));
-pick("quantity", "quantity");
-pick("result", "result");
-pick("stage", "stage");
-for (const name of OTHERS) pick(name, name);
+for (const name of ["quantity", "result", "stage", ...OTHERS]) pick(name, name);
 pick("space-paint", "paint");
 pick("space-background", "background");
 pick("space-mesh", "mesh", Boolean);
@@ -817,9 +809,14 @@ function showPart(value) {
   requestAnimationFrame(() => viewport.changed());
 }
 
-function walk(list, chosen, by) {
-  const at = list.indexOf(chosen);
-  return list[(at + by + list.length) % list.length] ?? chosen;
+function walk(by) {
+  const names = state.results.map(({ name }) => name);
+  if (names.length) ui.set({ result: names[(names.indexOf(ui.result) + by + names.length) % names.length] });
+}
+
+function enlarge(factor) {
+  const one = map.canvas.offsetParent ? map : view;
+  viewport.enlarge(one, one.canvas.width / 2, one.canvas.height / 2, factor);
 }
 
 const KEYS = {
@@ -829,11 +826,11 @@ const KEYS = {
     if (ui.sway) sway.start();
   },
   f: () => viewport.fit(),
-  "+": () => viewport.enlarge(map.canvas.offsetParent ? map : view, ...middle(), 1.5),
-  "=": () => KEYS["+"](),
-  "-": () => viewport.enlarge(map.canvas.offsetParent ? map : view, ...middle(), 1 / 1.5),
-  "[": () => state.results.length && ui.set({ result: walk(state.results.map(({ name }) => name), ui.result, -1) }),
-  "]": () => state.results.length && ui.set({ result: walk(state.results.map(({ name }) => name), ui.result, 1) }),
+  "+": () => enlarge(1.5),
+  "=": () => enlarge(1.5),
+  "-": () => enlarge(1 / 1.5),
+  "[": () => walk(-1),
+  "]": () => walk(1),
   t: () => ui.other && ui.set({ compare: "flip", flipped: ui.compare === "flip" ? !ui.flipped : true }),
   v: () => showLeftAs("view"),
   o: () => lf() && showLeftAs("refocused"),
@@ -849,11 +846,6 @@ const KEYS = {
   "?": () => $("help").showModal(),
 };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-
-const middle = () => {
-  const { canvas } = map.canvas.offsetParent ? map : view;
-  return [canvas.width / 2, canvas.height / 2];
-};
 
 // Who chose with a pointer goes on with the keys of the page; who came by the keyboard keeps those of the field.
 let isPointing = false;

@@ -1,7 +1,9 @@
 // A canvas that shows a picture of tiles, moves and enlarges it, and tells where somebody points.
 
-import { coarsest, sideAt, tile, want } from "./tiles.js";
+import { fitted, number } from "./elements.js";
+import { coarsest, numbers, sideAt, tile, want } from "./tiles.js";
 
+const LEGIBLE = 34; // pixels of the screen for one of a map: its value can be written there
 const CLICK = 5; // pixels: who moves less has clicked
 const GRIP = 14; // pixels beside the line of a wipe where it can be taken
 const NEARLY = 1.25; // enlargement at which what is computed still looks sharp
@@ -53,9 +55,7 @@ export class Picture {
   }
 
   #resized() {
-    const ratio = window.devicePixelRatio, { clientWidth, clientHeight } = this.canvas;
-    this.canvas.width = Math.max(1, Math.round(clientWidth * ratio));
-    this.canvas.height = Math.max(1, Math.round(clientHeight * ratio));
+    fitted(this.canvas);
     this.viewport.changed();
     this.#drawNow(); // else the empty canvas would be seen
   }
@@ -73,6 +73,7 @@ export class Picture {
     const edge = second ? Math.round(place.left + this.wipe * first.size[1] * place.scale) : canvas.width;
     let complete = this.#drawPart(context, place, first, 0, edge, wishes);
     if (second) complete = this.#drawPart(context, place, second, edge, canvas.width, wishes) && complete;
+    if (!second && first.isMap && place.scale >= LEGIBLE * window.devicePixelRatio) this.#drawNumbers(context, place, first);
     if (complete && !first.isComputed && !first.draw) {
       const next = this.on.next?.() ?? [];
       wishes.push(...next.flatMap((source) => wishes.slice().map(([, ...place]) => [source, ...place])));
@@ -98,6 +99,22 @@ export class Picture {
     const complete = draw.call(this, context, place, source, wishes);
     context.restore();
     return complete;
+  }
+
+  /** Write the value of each pixel that is seen on it. */
+  #drawNumbers(context, place, source) {
+    const side = sideAt(source, 0), seen = (start, room, most) => [Math.max(0, Math.floor(-start / place.scale)), Math.min(most, Math.ceil((room - start) / place.scale))];
+    const [left, right] = seen(place.left, context.canvas.width, source.size[1]), [top, bottom] = seen(place.top, context.canvas.height, source.size[0]);
+    Object.assign(context, { font: `${11 * window.devicePixelRatio}px system-ui, sans-serif`, textAlign: "center", textBaseline: "middle", strokeStyle: "#000", fillStyle: "#fff", lineWidth: 3 });
+    for (let y = top; y < bottom; y++) {
+      for (let x = left; x < right; x++) {
+        const found = numbers(source, 0, Math.floor(x / side), Math.floor(y / side)), value = found?.data[(y % side) * found.shape[1] + (x % side)];
+        const words = [Number.isFinite(value) ? number(value, 3) : "", place.left + (x + 0.5) * place.scale, place.top + (y + 0.5) * place.scale];
+        context.strokeText(...words);
+        context.fillText(...words);
+      }
+    }
+    context.textAlign = "start";
   }
 
   /** Draw what the page draws itself, if that can be done yet. */
@@ -196,14 +213,9 @@ export class Picture {
     context.beginPath();
     context.arc(edge, height / 2, 11 * ratio, 0, 7);
     context.fill();
-    context.fillStyle = "#333";
-    for (const side of [-1, 1]) {
-      context.beginPath();
-      context.moveTo(edge + side * 3 * ratio, height / 2 - 4 * ratio);
-      context.lineTo(edge + side * 7 * ratio, height / 2);
-      context.lineTo(edge + side * 3 * ratio, height / 2 + 4 * ratio);
-      context.fill();
-    }
+    Object.assign(context, { fillStyle: "#333", font: `${15 * ratio}px sans-serif`, textAlign: "center", textBaseline: "middle" });
+    context.fillText("↔", edge, height / 2);
+    context.textAlign = "start";
   }
 
   // --- pointing ---
@@ -297,24 +309,13 @@ export function drawCross(context, place, x, y) {
   context.beginPath();
   context.rect(place.left, place.top, place.width, place.height);
   context.clip();
-  for (const [style, wide] of [["rgb(0 0 0 / 45%)", 3 * ratio], ["rgb(255 255 255 / 85%)", ratio]]) {
-    context.strokeStyle = style;
-    context.lineWidth = wide;
-    context.beginPath();
-    for (const [from, to] of [[0, at[0] - ring], [at[0] + ring, width]]) {
-      if (to > from) context.moveTo(from, at[1]), context.lineTo(to, at[1]);
-    }
-    for (const [from, to] of [[0, at[1] - ring], [at[1] + ring, height]]) {
-      if (to > from) context.moveTo(at[0], from), context.lineTo(at[0], to);
-    }
-    context.stroke();
-  }
-  for (const [style, wide] of [["rgb(0 0 0 / 60%)", 4 * ratio], [mark(), 2 * ratio]]) {
-    context.strokeStyle = style;
-    context.lineWidth = wide;
-    context.beginPath();
-    context.arc(...at, ring, 0, 7);
-    context.stroke();
+  const lines = new Path2D(), circle = new Path2D();
+  for (const [from, to] of [[0, at[0] - ring], [at[0] + ring, width]]) if (to > from) lines.moveTo(from, at[1]), lines.lineTo(to, at[1]);
+  for (const [from, to] of [[0, at[1] - ring], [at[1] + ring, height]]) if (to > from) lines.moveTo(at[0], from), lines.lineTo(at[0], to);
+  circle.arc(...at, ring, 0, 7);
+  for (const [path, strokeStyle, wide] of [[lines, "rgb(0 0 0 / 45%)", 3], [lines, "rgb(255 255 255 / 85%)", 1], [circle, "rgb(0 0 0 / 60%)", 4], [circle, mark(), 2]]) {
+    Object.assign(context, { strokeStyle, lineWidth: wide * ratio });
+    context.stroke(path);
   }
   context.restore();
 }
@@ -324,21 +325,16 @@ export function drawDot(context, place, x, y) {
   const ratio = window.devicePixelRatio;
   context.beginPath();
   context.arc(place.left + (x + 0.5) * place.scale, place.top + (y + 0.5) * place.scale, 4 * ratio, 0, 7);
-  context.fillStyle = "#fff";
+  Object.assign(context, { fillStyle: "#fff", strokeStyle: "#000", lineWidth: 1.5 * ratio });
   context.fill();
-  context.lineWidth = 1.5 * ratio;
-  context.strokeStyle = "#000";
   context.stroke();
 }
 
 function drawNote(context, text) {
   const ratio = window.devicePixelRatio;
-  context.font = `${13 * ratio}px system-ui, sans-serif`;
-  const wide = context.measureText(text).width;
-  context.fillStyle = "rgb(0 0 0 / 62%)";
-  context.fillRect(8 * ratio, 8 * ratio, wide + 16 * ratio, 24 * ratio);
+  Object.assign(context, { font: `${13 * ratio}px system-ui, sans-serif`, fillStyle: "rgb(0 0 0 / 62%)", textBaseline: "middle" });
+  context.fillRect(8 * ratio, 8 * ratio, context.measureText(text).width + 16 * ratio, 24 * ratio);
   context.fillStyle = "#fff";
-  context.textBaseline = "middle";
   context.fillText(text, 16 * ratio, 20 * ratio);
 }
 

@@ -57,7 +57,7 @@ export class Plot {
   }
 
   #mark({ ctx, bbox, valToPos }, { marks = [], band, range }) {
-    const ratio = devicePixelRatio, at = (value) => valToPos(value, "x", true), { left, top, width, height } = bbox;
+    const ratio = devicePixelRatio, at = (value) => valToPos(value, "x", true), { top, height } = bbox;
     const upright = (value, style, dash, wide = 2) => {
       ctx.strokeStyle = style;
       ctx.lineWidth = wide * ratio;
@@ -77,7 +77,6 @@ export class Plot {
       ctx.fillRect(at(value) - 3 * ratio, top + height / 2 - 9 * ratio, 6 * ratio, 18 * ratio);
     }
     ctx.restore();
-    Object.assign(this.box.dataset, { from: left / ratio, wide: width / ratio });
   }
 
   #listen(plot, range) {
