@@ -19,6 +19,7 @@ from lfgpu.calibration.rig import matched
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.tones import match_tones, squared_radius_at
 from lfgpu.contract import Device
+from lfgpu.data.filling import fill_unknown
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
@@ -176,6 +177,12 @@ def test_points_have_the_colours_of_the_picture_in_bytes(kind: str, times: float
     assert (cloud.colors == 200).all()
 
 
+def test_a_hole_takes_the_farther_of_its_sides() -> None:
+    hole = np.array([[3, 3, 3, 3], [3, np.nan, 1, 3]])
+    assert fill_unknown(hole).tolist() == [[3, 3, 3, 3], [3, 1, 1, 3]]
+    assert fill_unknown(hole.T).tolist() == [[3, 3], [3, 1], [3, 1], [3, 3]]
+
+
 # --- all views, new views, pictures ---
 
 
@@ -228,6 +235,7 @@ def test_lenses_distort_as_opencv_defines_them() -> None:
     angle, k = math.atan(r), (0.1, -0.02, 0.03, 0.04)
     bent = angle * (1 + k[0] * angle**2 + k[1] * angle**4 + k[2] * angle**6 + k[3] * angle**8) / r
     fisheye = Calibrated((100, 200), (300.0, 310.0), (99.5, 20.5), distortion=k, model="fisheye")
+    assert np.isnan(camera.project([x, y, -1])).all()
     assert fisheye.project([x, y, 1]) == pytest.approx([300 * x * bent + 99.5, 310 * y * bent + 20.5])
 
 
