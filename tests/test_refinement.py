@@ -89,7 +89,7 @@ def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
     found, want, later = (evaluate(solved.values, truth.disparity) for solved in (own, scipy, further))
     assert found.mse_100 == pytest.approx(want.mse_100, rel=0.05, abs=0.01)
     least, most = sorted((want.badpix_07, later.badpix_07))
-    assert least - 1.0 <= found.badpix_07 <= most + 1.0
+    assert least - 2.0 <= found.badpix_07 <= most + 1.0
     assert found.badpix_03 == pytest.approx(want.badpix_03, abs=3.0)
     assert own.solution.converged
     assert scipy.solution.converged
