@@ -17,7 +17,7 @@ _BETTER = 0.3  # of the motion: how much more another way to count cameras must 
 _MISFIT = 0.15  # of the motion: how much less than one disparity map the places explain where they are wrong
 _HALF, _STILL = 0.5, 0.15  # share of the motion that is explained; steps that are so much shorter than others are none
 _LOOKED_AT, _BLOCK = 128, 4  # pixels of the longer side, means of blocks of which are compared upside down
-_UPSIDE_DOWN, _LESS = 0.7, 0.3  # correlation upside down, and how much less it is upright
+_UPRIGHT, _LESS = 0.7, 0.3  # correlation of what is upright, and how much less it is the other way
 _BLOCKS, _ONE_SCENE = 12, 0.5  # pixels of the shorter side; correlation of pictures of one scene, at least
 _UNMOVED = 0.2  # pixels, rms: motion that may be noise where no disparity map explains it
 _NAMED = 4  # views that a sentence names
@@ -92,10 +92,10 @@ def upside_down(light_field: LightField) -> str | None:
 
 def _is_turned(thumb: NDArray[np.float64], middle: NDArray[np.float64]) -> bool:
     """Tell whether a small picture looks like another one upside down, and not as it is."""
-    if _alike(thumb, middle) > _UPSIDE_DOWN:
+    if _alike(thumb, middle) > _UPRIGHT:
         return False
     turned = _alike_moved(thumb[::-1, ::-1], middle)
-    return turned > _UPSIDE_DOWN and turned > _alike_moved(thumb, middle) + _LESS
+    return turned > _ONE_SCENE and turned > _alike_moved(thumb, middle) + _LESS
 
 
 def other_scenes(light_field: LightField) -> str | None:

@@ -288,7 +288,7 @@ def _array(scene: Scene, place: Path, rng: Random) -> Told:
         axes, one = "vuyx", views[..., 0]
     if rng.random() < 0.4:
         axes, one = axes.replace("vu", "n"), one.reshape(rows * columns, *one.shape[2:])
-    order = axes if rng.random() < 0.3 else "".join(rng.permutation(list(axes)))
+    order = axes if scene.lie == "turned" or rng.random() < 0.3 else "".join(rng.permutation(list(axes)))
     kind = pick(rng, ("npy", "npz", "mat", "tif", "imagej", "ome"))
     if kind in ("imagej", "ome"):  # pictures come last there
         order = re.sub("[yx]", "", order) + "yx"
