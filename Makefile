@@ -19,13 +19,15 @@ test-all: test
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2
 	$(BIN)/python tests/faults.py
 
-# The least versions of all packages that pyproject.toml allows, and what reads, writes and computes with them.
-lowest: .venv/develop
-	$(BIN)/python -m venv .venv-lowest
+# The least versions of all packages that pyproject.toml allows, and what reads, writes and computes with them. They have
+# wheels for Python 3.11, which uv looks for, or loads.
+lowest:
+	$(PYTHON) -m venv .venv-lowest
 	.venv-lowest/bin/python -m pip install --quiet --disable-pip-version-check uv
-	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/bin/python --resolution lowest-direct \
+	.venv-lowest/bin/uv venv --quiet --clear --python 3.11 .venv-lowest/packages
+	.venv-lowest/bin/uv pip install --quiet --python .venv-lowest/packages --resolution lowest-direct \
 		-e ".[test,viewer,opencv]"
-	.venv-lowest/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not thorough" \
+	.venv-lowest/packages/bin/python -m pytest -n auto --maxprocesses 4 --dist worksteal -m "not thorough" \
 		tests/io/test_every_format.py tests/io/test_images.py tests/io/test_map_formats.py tests/io/test_old_hci.py \
 		tests/calibration/test_calibration_formats.py tests/test_batch_items.py tests/test_batch_manifest.py \
 		tests/test_stream.py tests/test_stream_frames.py tests/test_doctor.py tests/viewer/test_guard.py
