@@ -34,7 +34,9 @@ def opened(lf: lfgpu.LightField) -> Iterator[Any]:
     """Open the page of a light field and its map."""
     result = replace(lfgpu.estimate_depth(lf), timings={})  # they are of the machine that draws
     with lfgpu.Viewer(lf, result, port=0) as viewer, browser.chromium() as chromium:
-        page = chromium.new_page(viewport={"width": SIZE[0], "height": SIZE[1]}, color_scheme="light")
+        page = chromium.new_page(
+            viewport={"width": SIZE[0], "height": SIZE[1]}, color_scheme="light", reduced_motion="reduce"
+        )
         page.goto(viewer.url)
         page.wait_for_timeout(_WAIT)
         yield page
@@ -46,8 +48,16 @@ def seen(page: Any) -> Image.Image:
 
 
 def film(page: Any) -> list[Image.Image]:
-    """Walk along a curve through the view, focus on its points, and turn the points in space."""
+    """Move the camera between the views, walk through the view, focus on points, and turn the points in space."""
     frames = []
+    page.mouse.move(SIZE[0] * 0.4, SIZE[1] * 0.4)
+    page.mouse.down()
+    for turn in np.linspace(0, 2 * np.pi, POINTS):
+        page.mouse.move(SIZE[0] * (0.4 + 0.09 * np.sin(turn)), SIZE[1] * (0.4 + 0.1 * np.sin(2 * turn)))
+        page.wait_for_timeout(_STEP)
+        frames.append(seen(page))
+    page.mouse.up()
+    page.keyboard.press("r")
     for tab in ("View", "Refocus"):
         page.locator("#left-tabs").get_by_text(tab, exact=True).click()
         box = page.locator("#view").bounding_box()
