@@ -234,13 +234,13 @@ def _moments(names: Sequence[Name]) -> dict[int, str]:
         here |= {k for k, text in enumerate(name.digits) if len(text) >= _NO_PLACE}
         found = here if found is None else found & here
     found = found or set()
-    return dict.fromkeys(found | _times_of_day(names, dated=bool(found)), "it is a date or time")
+    return dict.fromkeys(found | _times_of_day(names, found), "it is a date or time")
 
 
-def _times_of_day(names: Sequence[Name], *, dated: bool) -> set[int]:
+def _times_of_day(names: Sequence[Name], dates: set[int]) -> set[int]:
     """Three numbers beside each other that may be hours, minutes and seconds, and are no full grid; two if dates are
     there, as well."""
-    for count in (3, 2)[: 1 + dated]:
+    for count in (3, 2) if dates else (3,):
         for k in range(len(names[0].digits) - count + 1):
             numbers = [name.numbers[k : k + count] for name in names]
             texts = [text for name in names for text in name.texts[k + 1 : k + count]]
@@ -249,7 +249,7 @@ def _times_of_day(names: Sequence[Name], *, dated: bool) -> set[int]:
             *_, before, last = (set(column) for column in zip(*numbers, strict=True))
             full = len(before) > 1 and len(set(numbers)) == len(before) * len(last)
             fits = short and hours and all(map(_BETWEEN.fullmatch, texts)) and max(map(max, numbers)) < 60
-            if fits and not full and len(last) > 1:
+            if fits and not full and len(last) > 1 and dates.isdisjoint(range(k, k + count)):
                 return set(range(k, k + count))
     return set()
 

@@ -417,7 +417,8 @@ def _compared(lf: LightField, scene: Scene, *, turned: bool, mirrored: bool, mas
         if alike[where[-1]] < _SAME:
             return f"view {index} is none of the pictures"
     if not masked:
-        valid = None if scene.valid is None else scene.valid.reshape(true.shape)[where]
+        valid = scene.valid if scene.valid is None or not mirrored else scene.valid.swapaxes(2, 3)
+        valid = None if valid is None else valid.reshape(true.shape)[where]
         if not np.array_equal(np.True_ if valid is None else valid, np.True_ if lf.valid is None else lf.valid):
             return "another mask"
     if len(set(where)) != len(true):

@@ -53,6 +53,7 @@ WORDS = {
     "a counter beside": lambda v, u: f"IMG_{1000 + 4 * v + u}_row{v}_col{u}.png",
     "a date beside": lambda v, u: f"20240229_120000_r{v}_c{u}.png",
     "the times beside": lambda v, u: f"20240229_1200{4 * v + u:02d}_r{v}_c{u}.png",
+    "a day before": lambda v, u: f"row{v}/2024-02-29 {u:02d}.png",
     "rows in folders": lambda v, u: f"row_{v}/{u:03d}.png",
     "columns in folders": lambda v, u: f"column {u}/row {v}.png",
 }
