@@ -53,9 +53,8 @@ def test_a_file_shows_the_same_sight_without_a_server(
         at = [one.at("map", x, y) for one in (page, alone)]
         assert at[0] == pytest.approx(at[1], abs=3)
     assert len(found) > 0 < len(expected)
-    assert [word for word in alone.readout().replace("\n", " ").split() if word.isalpha()] == [
-        word for word in readout if word.isalpha()
-    ]
+    words = [word for word in readout if word.isalpha() and word != "colour"]  # that of compressed views is not stored
+    assert [word for word in alone.readout().replace("\n", " ").split() if word.isalpha()] == words
     assert alone.at("map", HOLE[2] + 2, HOLE[0] + 1) == (158, 158, 158)
     alone.tab.keyboard.press("ArrowRight")
     alone.shown("view", f" {lf.index_of(2, 3)} ")
