@@ -103,5 +103,6 @@ TRIALS: dict[str, Callable[[LightField, Path], Difference]] = {
     "tiff": _tiff,
     "video": _video,
     "viewer": _viewer,
+    "xarray": lambda *_: _imported("xarray"),
 }
 """The trial of each part but those that are backends, of a light field in a folder; it may raise anything."""
