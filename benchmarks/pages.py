@@ -195,6 +195,10 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),
     "forms": (("paper.json",), lambda path: paper.forms(results.load(path)).markdown),
     "judge": (("judge.json",), lambda path: judge.table(content(path)["draws"]).markdown),
+    "learned": (
+        (ACCURACY, "learned.json"),
+        lambda *paths: _errors_by_preset([record for path in paths for record in _range_found(results.load(path))]),
+    ),
     "live": (("h200-live.json",), lambda path: live.table(_rows(path)).markdown),
     "misalignment": (("misalignment.json",), lambda path: misalignment.table(misalignment.load(path)).markdown),
     "new-views": (("rendering.json",), _new_views),

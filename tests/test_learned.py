@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from benchmarks.network import random_weights
-from lfgpu import _backends
+from lfgpu import DepthPipeline, DepthStream, LightField, _backends, estimate_depth, evaluate, scenes
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
+from lfgpu.methods import PRESETS
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.dry_run import DryArray, DryKernels
+from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.learned import Network, Weights, read_weights
 
 WIDTHS = 8, 16, 8, 24
@@ -132,8 +134,70 @@ def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
 
 
 def test_weights_are_read_as_they_were_written(tmp_path: Path, rng: np.random.Generator) -> None:
-    weights = random_weights(rng, WIDTHS)
+    weights = random_weights(rng, WIDTHS) | {"share": np.ones(4, np.float32), "spread": np.ones(3, np.float32)}
     np.savez(tmp_path / "weights.npz", **weights)
     read = read_weights(tmp_path / "weights.npz")
     assert set(read) == set(weights)
     assert all(np.array_equal(read[name], weights[name]) for name in weights)
+
+
+RANGE = (-1.4, 1.4)
+
+
+@pytest.fixture(scope="module")
+def scene() -> LightField:
+    return scenes.make("bars", grid=(5, 5), size=(64, 96))
+
+
+def test_the_preset_finds_thin_things_better_than_sweeps(scene: LightField) -> None:
+    found = {name: estimate_depth(scene, config=name, disparity_range=RANGE) for name in ("learned", "accurate")}
+    errors = {name: evaluate(result, scene.truth) for name, result in found.items()}
+    assert errors["learned"].badpix_07 < 0.8 * errors["accurate"].badpix_07
+    assert errors["learned"].mse_100 < errors["accurate"].mse_100
+
+
+@pytest.mark.parametrize("name", ["boxes", "textureless", "planes"])
+def test_its_confidence_is_the_share_of_right_pixels(name: str) -> None:
+    """On scenes that the weights of the confidence were not fitted on."""
+    lf = scenes.make(name, grid=(5, 5), size=(96, 96))
+    result = estimate_depth(lf, config="learned", disparity_range=(-1.6, 1.6))
+    assert lf.truth is not None
+    right = np.abs(result.disparity - lf.truth.disparity) <= 0.07
+    assert np.mean(right) == pytest.approx(np.mean(result.confidence), abs=0.1)
+    sure = result.confidence > 0.9
+    assert np.mean(~right[sure]) < 0.2 * np.mean(~right[~sure])
+
+
+def test_rows_grey_views_and_masks(scene: LightField) -> None:
+    row = scene.subset(np.flatnonzero(scene.pattern("cross") & (scene.offsets[:, 1] == 0)))
+    assert evaluate(estimate_depth(row, config="learned", disparity_range=RANGE), row.truth).badpix_07 < 15
+    grey = replace(scene, views=scene.views.mean(-1, keepdims=True).astype(np.uint8))
+    want = estimate_depth(scene, config="learned", disparity_range=RANGE)
+    found = estimate_depth(grey, config="learned", disparity_range=RANGE)
+    assert np.mean(np.abs(found.disparity - want.disparity) < 0.07) > 0.9
+    valid = np.ones((25, 64, 96), bool)
+    valid[:, 60:] = False
+    masked = replace(scene, valid=valid)
+    assert np.array_equal(
+        np.isnan(estimate_depth(masked, config="learned", disparity_range=RANGE).disparity), ~valid[12]
+    )
+
+
+def test_streams_pipelines_and_estimates_give_one_map(scene: LightField) -> None:
+    want = estimate_depth(scene, config="learned", disparity_range=RANGE).disparity
+    pipeline = DepthPipeline(scene, config="learned", disparity_range=RANGE)
+    np.testing.assert_allclose(pipeline.estimate().disparity, want, atol=1e-5)
+    with DepthStream(scene, config="learned", disparity_range=RANGE, policy="block") as stream:
+        for frame in range(2):  # a cold and a warm one
+            assert np.mean(np.abs(stream.push(scene.views).numpy() - want) < 0.03) > 0.95, frame
+
+
+def test_the_map_of_the_network_weighs_more_where_it_is_surer(scene: LightField) -> None:
+    """A map that is sure stays as it is, one that is not goes where the views lead it."""
+    config = PRESETS["learned"]
+    assert isinstance(config, MatchingConfig)
+    moved = []
+    for weight in (1e-6, 0.04, 1e3):
+        result = estimate_depth(scene, config=config.with_tuning({"alignment.matched": weight}), disparity_range=RANGE)
+        moved.append(float(np.abs(result.stages["align"] - result.stages["sweep"]).mean()))
+    assert moved[0] > 1.2 * moved[1] > 3 * moved[2]

@@ -22,7 +22,7 @@ from lfgpu.methods.exposure import exposure_of
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.disparities import compared_disparities, view_sets
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
-from lfgpu.methods.matching.passes import ACCURATE, FAST, matching_sweeps, sweeps_of
+from lfgpu.methods.matching.passes import ACCURATE, FAST, LEARNED, matching_sweeps, sweeps_of
 from lfgpu.methods.matching.views import are_around, compared_views, every_other_view, used_views
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
@@ -119,6 +119,7 @@ def test_surfaces_are_widened_only_where_views_are_on_all_sides(places: np.ndarr
 def test_tables_of_sweeps_are_those_of_the_presets() -> None:
     assert sweeps_of(PRESETS["accurate"]) == ACCURATE
     assert sweeps_of(PRESETS["fast"]) == FAST
+    assert sweeps_of(PRESETS["learned"]) == LEARNED
     for resweeps in range(9):
         rows = matching_sweeps(resweeps)
         assert len(rows) == 1 + resweeps

@@ -16,7 +16,7 @@ from .memory import devices, field, image, number, numpy, scalar, shared, upload
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
 from .occlusion import splat_z_buffered, visible
-from .peak import peak
+from .peak import judge_peak, peak
 from .plane_sweep import plane_sweep
 from .range_search import details, distinct_minimum, shrink, side_costs
 from .resampling import resample

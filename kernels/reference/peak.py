@@ -1,9 +1,11 @@
 """The peak of the distribution of each pixel over disparities: NumPy, float64."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import FOLD, PEAK_REACH
+from lfgpu.contract import FOLD, PEAK_REACH, peak_features
 
 Array = NDArray[np.float64]
 
@@ -33,3 +35,20 @@ def peak(
     place = (near * labels).sum(0) / probability_out
     disparity_out[:] = first + step * place
     deviation_out[:] = step * np.sqrt((near * (labels - place) ** 2).sum(0) / probability_out)
+
+
+def judge_peak(
+    probability: Array,
+    deviation: Array,
+    *,
+    step: float,
+    limit: float,
+    share: Sequence[float],
+    spread: Sequence[float],
+    confidence_out: Array,
+    variance_out: Array,
+) -> None:
+    features = peak_features(probability, deviation / step)
+    log_odds = np.tensordot(share[:3], features, 1) + share[3] * np.log(limit / step)
+    confidence_out[:] = 1 / (1 + np.exp(-log_odds))
+    variance_out[:] = step**2 * np.exp(np.tensordot(spread, features, 1))

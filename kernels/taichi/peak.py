@@ -1,10 +1,12 @@
 """The peak of the distribution of each pixel over disparities; `kernels/reference/peak.py` says what it is."""
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import taichi as ti
 
-from lfgpu.contract import FOLD, PEAK_REACH
+from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH
 
 from .memory import DeviceArray, flat
 from .runtime import once, run
@@ -69,3 +71,44 @@ def peak(
 ) -> None:
     outputs = (array.values for array in (disparity_out, probability_out, deviation_out))
     run(_kernel(logits.scalar), logits.values, first.values, step, *logits.shape, first.shape[1], *outputs)
+
+
+@ti.kernel
+def _judge_peak_kernel(
+    probability: flat(),
+    deviation: flat(),
+    step: float,
+    share: ti.types.vector(3, float),
+    spread: ti.types.vector(3, float),
+    confidence_out: flat(),
+    variance_out: flat(),
+):
+    for p in range(probability.shape[0]):
+        odds = ti.log((probability[p] + LEAST_ODDS) / (1.0 - probability[p] + LEAST_ODDS))
+        features = ti.Vector([1.0, odds, ti.log(deviation[p] / step + LEAST_WIDTH)])
+        confidence_out[p] = 1.0 / (1.0 + ti.exp(-share.dot(features)))
+        variance_out[p] = step * step * ti.exp(spread.dot(features))
+
+
+def judge_peak(
+    probability: DeviceArray,
+    deviation: DeviceArray,
+    *,
+    step: float,
+    limit: float,
+    share: Sequence[float],
+    spread: Sequence[float],
+    confidence_out: DeviceArray,
+    variance_out: DeviceArray,
+) -> None:
+    at_limit = share[0] + share[3] * math.log(limit / step), share[1], share[2]
+    run(
+        _judge_peak_kernel,
+        probability.values,
+        deviation.values,
+        step,
+        ti.Vector(list(at_limit)),
+        ti.Vector(list(spread)),
+        confidence_out.values,
+        variance_out.values,
+    )

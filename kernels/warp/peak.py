@@ -1,12 +1,19 @@
 """The peak of the distribution of each pixel over disparities; `kernels/reference/peak.py` says what it is."""
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
-from lfgpu.contract import FOLD, PEAK_REACH
+import warp as wp
+
+from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH
 
 from .memory import pixel_type
 from .native_code import c_type, kernel
-from .threads import in_slices, launch, load, once, with_wide_vectors
+from .threads import in_slices, launch, launch_rows, load, once, with_wide_vectors
+
+_LEAST_ODDS, _LEAST_WIDTH = wp.constant(LEAST_ODDS), wp.constant(LEAST_WIDTH)
+_Weights = wp.types.vector(length=3, dtype=float)
 
 
 @once
@@ -35,3 +42,40 @@ def peak(logits: Any, first: Any, *, step: float, disparity_out: Any, probabilit
         launch(find, 1, [logits, first, step, begin, end], outputs, device="cpu")
 
     in_slices(logits.device, logits.shape[1], some_rows)
+
+
+@wp.kernel
+def _judge_peak_kernel(
+    probability: wp.array2d(dtype=float),
+    deviation: wp.array2d(dtype=float),
+    step: float,
+    share: _Weights,
+    spread: _Weights,
+    row: int,
+    lanes: int,
+    confidence_out: wp.array2d(dtype=float),
+    variance_out: wp.array2d(dtype=float),
+):
+    i = wp.tid()
+    y = row + i / lanes
+    for x in range(i % lanes, probability.shape[1], lanes):
+        odds = wp.log((probability[y, x] + _LEAST_ODDS) / (1.0 - probability[y, x] + _LEAST_ODDS))
+        features = _Weights(1.0, odds, wp.log(deviation[y, x] / step + _LEAST_WIDTH))
+        confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-wp.dot(share, features)))
+        variance_out[y, x] = step * step * wp.exp(wp.dot(spread, features))
+
+
+def judge_peak(
+    probability: Any,
+    deviation: Any,
+    *,
+    step: float,
+    limit: float,
+    share: Sequence[float],
+    spread: Sequence[float],
+    confidence_out: Any,
+    variance_out: Any,
+) -> None:
+    at_limit = _Weights(share[0] + share[3] * math.log(limit / step), share[1], share[2])
+    inputs = [probability, deviation, step, at_limit, _Weights(*spread)]
+    launch_rows(_judge_peak_kernel, inputs, confidence_out, variance_out)

@@ -18,10 +18,13 @@ from lfgpu.contract.learned import (
     COST_UNIT,
     COSTS,
     FOLD,
+    LEAST_ODDS,
+    LEAST_WIDTH,
     PEAK_REACH,
     SECTORS,
     Convolution,
     SectorCosts,
+    peak_features,
     sectors_of,
 )
 from lfgpu.contract.matching import (
@@ -48,6 +51,8 @@ __all__ = [
     "COST_UNIT",
     "FOLD",
     "GRADIENT_REACH",
+    "LEAST_ODDS",
+    "LEAST_WIDTH",
     "PEAK_REACH",
     "REACH",
     "REDUCTION",
@@ -87,6 +92,7 @@ __all__ = [
     "ViewSets",
     "ZBuffer",
     "half_window",
+    "peak_features",
     "sectors_of",
     "sweep_shifts",
 ]

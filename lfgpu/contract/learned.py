@@ -14,7 +14,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract.arrays import Array, Float32Array, Scalar
+from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 
 SECTORS = 8
 """Directions around the reference view, in which the views lie."""
@@ -30,6 +30,9 @@ FOLD = 2
 
 PEAK_REACH = 2
 """Disparities on either side of the likeliest one that its mean is over."""
+
+LEAST_ODDS, LEAST_WIDTH = 1e-3, 0.05
+"""Offsets of a probability, and of a deviation in steps, that keep their logarithms finite."""
 
 
 class SectorCosts(Protocol):
@@ -106,6 +109,30 @@ class Learned(Protocol):
         deviation is the standard deviation there, and probability what these have of the whole distribution. `first` is
         [y, x].
         """
+
+    def judge_peak(
+        self,
+        probability: Array,
+        deviation: Array,
+        *,
+        step: float,
+        limit: float,
+        share: Sequence[float],
+        spread: Sequence[float],
+        confidence_out: Array,
+        variance_out: Array,
+    ) -> None:
+        """Compute how likely a pixel of a map is within `limit` of the truth, and its variance, from `peak`.
+
+        With f = `peak_features`(probability, deviation / step), the confidence is the logistic function of
+        share[:3] . f + share[3] log(limit / step), and the variance is step^2 exp(spread . f). All maps are [y, x].
+        """
+
+
+def peak_features(probability: NDArray[Any], deviation: NDArray[Any]) -> Float64Array:
+    """Compute the features [3, ...] on which the trust in a peak depends; `deviation` is in steps."""
+    odds = np.log((probability + LEAST_ODDS) / (1 - probability + LEAST_ODDS))
+    return np.stack([np.ones_like(odds), odds, np.log(deviation + LEAST_WIDTH)])
 
 
 def sectors_of(offsets: NDArray[Any]) -> NDArray[np.int64]:

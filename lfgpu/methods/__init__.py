@@ -26,6 +26,7 @@ METHODS: dict[str, Entry] = {
         {
             "accurate": "four sweeps, three of them over all views that see a pixel",
             "fast": "two sweeps over the views in the row and column of the reference",
+            "learned": "one network, trained on generated light fields, over all views",
         },
     ),
     "synthesis": Entry(
@@ -44,7 +45,7 @@ METHODS: dict[str, Entry] = {
 PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
 """Complete parameters by name, the default preset first."""
 
-PresetName: TypeAlias = Literal["accurate", "fast", "paper", "paper-exact"]
+PresetName: TypeAlias = Literal["accurate", "fast", "learned", "paper", "paper-exact"]
 """The names of `PRESETS`, for type checkers."""
 
 

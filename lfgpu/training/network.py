@@ -101,7 +101,7 @@ def peak(logits: Tensor, first: Tensor, steps: Tensor) -> Tensor:
     around = around.clamp(0, count - 1)
     near = logits.gather(1, around).masked_fill(~inside, -1e4)
     place = (near.softmax(1) * around).sum(1)
-    return first[:, None, None] + steps[:, None, None] * place
+    return first + steps[:, None, None] * place
 
 
 def estimate(
@@ -116,7 +116,7 @@ def estimate(
     steps: Tensor,
     count: int,
 ) -> Tensor:
-    """Give logits float32 [b, l, y, x] to light fields at the disparities first [b] + l steps [b], l < `count`.
+    """Give logits float32 [b, l, y, x] to light fields at the disparities first [b, y, x] + l steps [b], l < `count`.
 
     `views` and `reference` are as in `Batch`.
     """

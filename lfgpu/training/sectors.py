@@ -47,12 +47,12 @@ def _sector_costs_kernel(
     reference: wp.array3d(dtype=wp.vec3f),
     offsets: wp.array(dtype=wp.vec2f),
     starts: wp.array(dtype=int),
-    first: wp.array(dtype=float),
+    first: wp.array3d(dtype=float),
     steps: wp.array(dtype=float),
     margin: int,
     costs_out: wp.array4d(dtype=_Costs),
 ):
-    """Compute costs [b, l, y, x, CHANNELS] of `views` [b, n, y, x] at the disparities first[b] + l steps[b].
+    """Compute costs [b, l, y, x, CHANNELS] of `views` [b, n, y, x] at the disparities first[b, y, x] + l steps[b].
 
     Views are sorted by sector, sector s beginning at starts[s]; pixel (0, 0) of `reference` is (margin, margin) of
     each view. A view takes part where its place lies in its frame. The costs of a sector are the mean absolute
@@ -60,7 +60,7 @@ def _sector_costs_kernel(
     sectors without any view are the means over the others, or 1 if there are none.
     """
     scene, label, y, x = wp.tid()
-    d = first[scene] + float(label) * steps[scene]
+    d = first[scene, y, x] + float(label) * steps[scene]
     colour = reference[scene, y, x]
     single = _Sums()
     common = _Sums()
@@ -126,7 +126,7 @@ def sector_costs(
     steps: torch.Tensor,
     count: int,
 ) -> torch.Tensor:
-    """Compare views with their reference at the disparities first [b] + l steps [b], l < `count`.
+    """Compare views with their reference at the disparities first [b, y, x] + l steps [b], l < `count`.
 
     Parameters
     ----------

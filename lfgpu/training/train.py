@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 import torch.distributed as dist
+import torch.nn.functional as F  # noqa: N812 - its usual name
 from torch import Tensor
 
 from lfgpu.training.generator import Batch, Generator
@@ -18,6 +19,7 @@ from lfgpu.training.network import Network, estimate, peak
 
 _WARM_UP = 200  # steps over which the learning rate rises
 _SHOWN = 100  # steps from one line of the log to the next
+_WINDOWS = 0.25  # share of the steps that compare windows around a coarse map
 
 
 @dataclass(frozen=True)
@@ -26,7 +28,7 @@ class Settings:
 
     steps: int
     """Length of the whole schedule, over all pieces."""
-    scenes: int = 12
+    scenes: int = 8
     """Light fields of a step and process."""
     side: int = 192
     """Pixels of these, each way: a multiple of 32."""
@@ -40,14 +42,39 @@ class Settings:
 
 
 def labels_for(batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor, int]:
-    """Draw a range for each light field that holds its truth: the first disparities [b], the steps [b], the count."""
-    count = int(rng.choice([16, 24, 32], p=[0.25, 0.45, 0.3]))
+    """Draw the disparities to compare: the first of each pixel [b, y, x], the steps [b], the count.
+
+    They are a range that holds the truth, or windows around a coarse map, as the last pass over a wide range has them.
+    """
+    if rng.random() < _WINDOWS:
+        return _windows_for(batch, rng)
+    count = int(rng.choice([20, 28, 36, 48], p=[0.25, 0.3, 0.3, 0.15]))
     low, high = batch.truth.amin((1, 2)).cpu().numpy(), batch.truth.amax((1, 2)).cpu().numpy()
-    step = np.maximum(rng.uniform(0.6, 1.1, len(low)), (high - low) / (count - 5))
+    step = np.maximum(rng.uniform(0.4, 0.9, len(low)), (high - low) / (count - 5))
     free = np.maximum(step * (count - 4) - (high - low), 0)
     first = low - step * 1.5 - rng.uniform(0, 1, len(low)) * free
     first, step = (torch.tensor(x, dtype=torch.float32, device=batch.truth.device) for x in (first, step))
-    return first, step, count
+    return first[:, None, None].expand_as(batch.truth).contiguous(), step, count
+
+
+def _windows_for(batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor, int]:
+    """Draw windows around a coarse map: the truth, sampled sparsely or spread from its edges, with smooth errors."""
+    truth = batch.truth[:, None]
+    count, factor = int(rng.choice([12, 16, 20])), int(rng.choice([2, 4, 8]))
+    step = torch.tensor(rng.uniform(0.4, 0.9, len(truth)), dtype=torch.float32, device=truth.device)
+    match rng.integers(3):
+        case 0:
+            coarse = truth[..., factor // 2 :: factor, factor // 2 :: factor]
+        case 1:
+            coarse = F.max_pool2d(truth, factor)
+        case _:
+            coarse = F.avg_pool2d(truth, factor)
+    generator = torch.Generator(truth.device).manual_seed(int(rng.integers(1 << 30)))
+    for size, error in (coarse.shape[-2:], 0.4), ((6, 6), 0.8):
+        noise = torch.randn((len(truth), 1, *size), generator=generator, device=truth.device)
+        coarse = coarse + F.interpolate(noise, coarse.shape[-2:], mode="bilinear") * error * step[:, None, None, None]
+    first = F.interpolate(coarse, truth.shape[-2:], mode="bilinear")[:, 0] - step[:, None, None] * (count - 1) / 2
+    return first.contiguous(), step, count
 
 
 def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[str, Tensor]:
@@ -57,7 +84,7 @@ def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[
     and 0.01 per view step of a grid of 9 x 9), and the mean square of errors of at most 8 pixels.
     """
     count = logits.shape[1]
-    place = ((truth - first[:, None, None]) / steps[:, None, None]).clamp(0, count - 1)[:, None]
+    place = ((truth - first) / steps[:, None, None]).clamp(0, count - 1)[:, None]
     below = place.floor().clamp(max=count - 2)
     share, below = place - below, below.long()
     logs = logits.log_softmax(1)
@@ -142,8 +169,11 @@ class Trainer:
         self.optimiser.zero_grad(set_to_none=True)
         found["loss"].backward()
         if self.world > 1:
-            for parameter in self.network.parameters():
-                dist.all_reduce(parameter.grad, op=dist.ReduceOp.AVG)
+            gradients = [parameter.grad for parameter in self.network.parameters()]
+            flat = torch.cat([gradient.flatten() for gradient in gradients])
+            dist.all_reduce(flat, op=dist.ReduceOp.AVG)
+            for gradient, mean in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+                gradient.copy_(mean.view_as(gradient))
         if bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0))):
             self.optimiser.step()
         self.step += 1

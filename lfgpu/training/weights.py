@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from torch import Tensor
 
-from lfgpu.contract import FOLD, Float32Array
+from lfgpu.contract import FOLD, Float32Array, Float64Array
 
 _EPSILON = 1e-5  # of PyTorch's normalisation
 
@@ -53,7 +53,7 @@ def fold(state: Mapping[str, Tensor]) -> dict[str, Float32Array]:
     return folded
 
 
-def write_weights(path: str | Path, state: Mapping[str, Tensor]) -> None:
-    """Write the folded weights of a network's state to an .npz, in half precision."""
+def write_weights(path: str | Path, state: Mapping[str, Tensor], share: Float64Array, spread: Float64Array) -> None:
+    """Write the folded weights of a network's state, in half precision, and its trust (`fit_trust`) to an .npz."""
     halves: dict[str, Any] = {name: values.astype(np.float16) for name, values in fold(state).items()}
-    np.savez(path, **halves)
+    np.savez(path, **halves, share=share.astype(np.float32), spread=spread.astype(np.float32))

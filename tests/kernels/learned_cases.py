@@ -197,4 +197,7 @@ def peak_inputs(case: PeakCase, rng: np.random.Generator) -> SimpleNamespace:
         first=cases.coarse(rng.uniform(-2, 2, case.size), 2.0**-6),
         step=0.71875,
         stored=case.stored,
+        probability=rng.choice([0.0, 1.0, *rng.random(8)], case.size),
+        deviation=rng.choice([0.0, *rng.random(8)], case.size),
+        weights_of_judge={"share": rng.normal(size=4), "spread": rng.normal(size=3), "limit": 0.28},
     )

@@ -64,6 +64,13 @@ def peak(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {name: out[f"{name}_out"] for name in names}
 
 
+def judge_peak(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = {f"{name}_out": desk.out(i.first.shape) for name in ("confidence", "variance")}
+    maps = desk.field(i.probability), desk.field(i.deviation)
+    desk.kernels.judge_peak(*maps, step=i.step, **i.weights_of_judge, **out)
+    return {"confidence": out["confidence_out"], "variance": out["variance_out"]}
+
+
 def finding_the_peak(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
     """A network of few layers on the views of a light field that is loaded each time, in half precision."""
     views, stored, count = values["recorded"], np.float16, 4
@@ -103,5 +110,6 @@ OPERATIONS = (
     Operation(sector_costs, "sectors"),
     Operation(convolution, "convolution"),
     Operation(peak, "peak"),
+    Operation(judge_peak, "peak"),
 )
-BRIGHTNESS, FOLDING, SECTOR_COSTS, CONVOLUTION, PEAK = OPERATIONS
+BRIGHTNESS, FOLDING, SECTOR_COSTS, CONVOLUTION, PEAK, JUDGE_PEAK = OPERATIONS

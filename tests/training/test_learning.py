@@ -12,7 +12,7 @@ torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip insta
 from lfgpu.training.generator import Batch, Generator  # noqa: E402
 from lfgpu.training.network import MULTIPLE, Network, estimate, peak  # noqa: E402
 from lfgpu.training.sectors import SECTORS, UNIT, order_of_sectors, sector_costs  # noqa: E402
-from lfgpu.training.train import Settings, Trainer  # noqa: E402
+from lfgpu.training.train import Settings, Trainer, labels_for  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def test_sector_costs_are_those_of_their_definition() -> None:
     order, starts = order_of_sectors(offsets)
     offsets = offsets[order]
     views, reference = rng.random((1, 9, 14, 15, 3)), rng.random((1, 10, 11, 3))
-    first, steps = rng.uniform(-3, 0, 1), rng.uniform(0.5, 2, 1)
+    first, steps = rng.uniform(-3, 0, (1, 10, 11)), rng.uniform(0.5, 2, 1)
     found = sector_costs(
         torch.tensor(views, dtype=torch.float32), torch.tensor(reference, dtype=torch.float32), offsets, starts,
         margin=2, first=torch.tensor(first, dtype=torch.float32), steps=torch.tensor(steps, dtype=torch.float32),
@@ -52,9 +52,9 @@ def test_sector_costs_are_those_of_their_definition() -> None:
     sector = np.rint(np.arctan2(offsets[:, 1], offsets[:, 0]) / (np.pi / 4)).astype(int) % SECTORS
     compared = 0
     for label in range(4):
-        d = first[0] + label * steps[0]
         for y in range(10):
             for x in range(11):
+                d = first[0, y, x] + label * steps[0]
                 each: dict[int, list[np.ndarray]] = {}
                 places = np.stack([x + 2 - d * offsets[:, 0], y + 2 - d * offsets[:, 1]], 1)
                 if (np.abs(places - np.rint(places)) < 1e-4).any():
@@ -80,7 +80,7 @@ def test_costs_are_least_at_the_truth(generator: Generator, seed: int) -> None:
         for away in (-4, 0, 4):  # costs at the truth of each pixel, from those at all whole disparities around
             low = float(each.truth.min()) - 6
             count = int(float(each.truth.max()) - low) + 8
-            costs = costs_of(each, torch.full((4,), low), count).mean(1)
+            costs = costs_of(each, torch.full_like(each.truth, low), count).mean(1)
             place = (each.truth + away - low).clamp(0, count - 1)
             totals.append(float(costs.gather(1, place.round().long()[:, None]).mean()))
         assert totals[1] < min(totals[0], totals[2])
@@ -95,15 +95,26 @@ def test_batches_are_the_same_for_the_same_seed(generator: Generator) -> None:
 def test_the_peak_is_the_mean_around_the_likeliest_disparity() -> None:
     logits = torch.full((1, 9, 1, 1), -30.0)
     logits[0, 3:5] = 0.0
-    disparity = peak(logits, torch.tensor([-2.0]), torch.tensor([0.5]))
+    disparity = peak(logits, torch.tensor([[[-2.0]]]), torch.tensor([0.5]))
     assert disparity.item() == pytest.approx(-2 + 0.5 * 3.5)
+
+
+def test_drawn_disparities_hold_the_truth(generator: Generator) -> None:
+    """Ranges hold all of it, windows most."""
+    batch, rng = generator.draw(5, 4), np.random.default_rng(0)
+    for _ in range(20):
+        first, steps, count = labels_for(batch, rng)
+        assert first.shape == batch.truth.shape
+        place = (batch.truth - first) / steps[:, None, None]
+        inside = ((place >= 0) & (place <= count - 1)).float().mean()
+        assert inside > (0.7 if count in (12, 16) else 0.999) or count == 20
 
 
 def test_any_array_gives_logits(generator: Generator) -> None:
     batch = generator.draw(0, 1)
     logits = estimate(
         Network((4, 4, 4, 4)), batch.views, batch.reference, batch.offsets, batch.starts,
-        margin=batch.margin, first=torch.zeros(1), steps=torch.ones(1), count=8,
+        margin=batch.margin, first=torch.zeros_like(batch.truth), steps=torch.ones(1), count=8,
     )  # fmt: skip
     assert logits.shape == (1, 8, MULTIPLE, MULTIPLE)
 

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
 
 from lfgpu.contract import Array
 from lfgpu.methods.matching.base import Aggregation, Swept
 from lfgpu.methods.matching.costs import noise_cost
+from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.methods.matching.frame import SweptViews
+from lfgpu.methods.matching.learned import Network, Weights, read_weights
+
+_RIGHT = 0.07  # pixels per view step: the confidence is the probability of smaller errors
 
 
 class SemiGlobal(Aggregation):
@@ -77,8 +86,63 @@ class SemiGlobal(Aggregation):
         kernels.clamp(scale, 1.0, self._most_noisy, scale)
 
 
+class Learned(Aggregation):
+    """The network of `learned.py`, trained on generated light fields, over costs by angular sector.
+
+    Parameters
+    ----------
+    views
+        The views of the sweep.
+    """
+
+    has_own_costs: ClassVar[bool] = True
+
+    def __init__(self, views: SweptViews) -> None:
+        frame, layout = views.frame, views.layout
+        disparities = padded_disparities(frame.bounds, layout.farthest, frame.config.sweep)
+        self._kernels, self._step = frame.kernels, disparities.step
+        self._weights = built_in_weights()
+        with frame.arena.scratch() as scratch:
+            self._probability, self._deviation = scratch.fields(2, frame.size)
+            self._network = Network(frame.arena, self._weights, layout, disparities.count)
+        views.on_load(lambda image, recorded, valid: self._network.load(recorded, valid))
+        self._first = frame.arena.constant("first of the network", np.full(frame.size, disparities.first))
+        self.confidence, self.variance = (
+            frame.arena.field(f"{name} of the network", frame.size) for name in ("confidence", "variance")
+        )
+
+    def __call__(self, swept: Swept, disparity_out: Array) -> None:
+        """See `Aggregation`."""
+        assert self.confidence is not None
+        assert self.variance is not None
+        self._network(
+            self._first,
+            step=self._step,
+            disparity_out=disparity_out,
+            probability_out=self._probability,
+            deviation_out=self._deviation,
+        )
+        self._kernels.judge_peak(
+            self._probability,
+            self._deviation,
+            step=self._step,
+            limit=_RIGHT,
+            share=[float(weight) for weight in self._weights["share"]],
+            spread=[float(weight) for weight in self._weights["spread"]],
+            confidence_out=self.confidence,
+            variance_out=self.variance,
+        )
+
+
+@cache
+def built_in_weights() -> Weights:
+    """Read the weights that lfgpu comes with."""
+    return read_weights(Path(__file__).with_name("weights.npz"))
+
+
 AGGREGATIONS: Mapping[str, Callable[[SweptViews], Aggregation]] = {
     "semi-global, cut at edges": lambda views: SemiGlobal(views, at_edges=True),
     "semi-global": lambda views: SemiGlobal(views, at_edges=False),
+    "learned": Learned,
 }
 """Aggregations by name, each planned for the views of a sweep."""

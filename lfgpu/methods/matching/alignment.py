@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from lfgpu.contract import Array, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
@@ -11,6 +13,7 @@ from lfgpu.methods.base import Callback
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.frame import Frame, Loaded
 
+_SUREST = 0.02  # pixels in the farthest view: no map is better than this
 _BESIDE = 1  # pixels beside an edge in another view where both sides are mixed: they are left out
 
 
@@ -29,6 +32,7 @@ class Alignment:
         arena, config = frame.arena, frame.config
         self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, frame.prior, frame.bounds
         self._tuning, self._farthest = config.tuning.alignment, frame.layout.farthest
+        self._matched_weight = arena.field("weight of the matched map", frame.size)
         self._reach = self._tuning.reach * frame.disparities.step
         self._last = _Step(arena, frame.layout, config, self._farthest)
         self._first = self._last
@@ -49,14 +53,23 @@ class Alignment:
         if self._first is not self._last:
             self._first.load(self._frame.image, self._frame.thinned)
 
-    def run(self, matched: Array, map_out: Array, steps: int, callback: Callback | None) -> None:
-        """Align a matched map [y, x] by so many steps."""
+    def run(
+        self, matched: Array, variance: Array | None, map_out: Array, steps: int, callback: Callback | None
+    ) -> None:
+        """Align a matched map [y, x] by so many steps.
+
+        With its `variance` [y, x] it counts beside the views: each pixel goes to where both together are likeliest.
+        """
+        if variance is not None:
+            self._weigh_matched(variance)
         kernels, tuning, workspace = self._kernels, self._tuning, self._workspace
         longest, support = tuning.longest_step / self._farthest, tuning.support / self._farthest
         kernels.copy(matched, map_out)
         for iteration, moved in enumerate(self.moves[:steps], 1):
             step = self._last if iteration == steps else self._first
             step(map_out, self.curvature, self._slope)
+            if variance is not None:
+                self._hold(matched, map_out)
             floor = tuning.least_curvature * tuning.robust**2
             self._prior.ratio(map_out, self._slope, self.curvature, support=support, floor=floor, ratio_out=workspace)
             kernels.clamp(workspace, -longest, longest, workspace)
@@ -88,6 +101,21 @@ class Alignment:
         kernels.multiply(workspace, workspace, workspace)
         kernels.threshold(workspace, self._reach**2, workspace)
         kernels.select(workspace, matched, map_, map_)
+
+    def _weigh_matched(self, variance: Array) -> None:
+        """Find the curvature of the log likelihood of the matched map, in units of that of the views."""
+        kernels, tuning, weight = self._kernels, self._tuning, self._matched_weight
+        kernels.clamp(variance, (_SUREST / self._farthest) ** 2, np.inf, weight)
+        kernels.divide(self._prior.ones, weight, weight)
+        kernels.axpby((tuning.matched * tuning.robust) ** 2, weight, 0.0, weight, weight)
+
+    def _hold(self, matched: Array, map_: Array) -> None:
+        """Add the matched map to the curvature and the slope of the views."""
+        kernels, weight, workspace = self._kernels, self._matched_weight, self._workspace
+        kernels.axpby(1.0, matched, -1.0, map_, workspace)
+        kernels.multiply(workspace, weight, workspace)
+        kernels.axpby(1.0, self._slope, 1.0, workspace, self._slope)
+        kernels.axpby(1.0, self.curvature, 1.0, weight, self.curvature)
 
     def _weigh_texture(self) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that means exist where nothing is certain."""

@@ -8,10 +8,12 @@ import numpy as np
 
 from lfgpu.contract import Disparities, Float64Array
 from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.learned import DISPARITIES
 
 _DIRECTIONS = 8  # in which partial view sets lie
 _ON_LINE = 1e-3  # view steps: a view that is nearer to a border lies on it
 _ON_BOUND = 1e-6  # steps: a disparity that is nearer to a bound lies on it
+_PADDING = 2  # disparities beyond either bound that the network compares: it was trained to find surfaces inside
 _FEWEST = 3  # a minimum between two disparities is found from three
 
 
@@ -36,6 +38,25 @@ def compared_disparities(bounds: tuple[float, float], farthest: float, config: S
     step = max(config.step / farthest, (high - low) / (config.max_labels - 2))
     begin, end = math.floor(low / step - 0.5 + _ON_BOUND), math.ceil(high / step - 0.5 - _ON_BOUND)
     return Disparities((begin + 0.5) * step, step, max(end - begin + 1, _FEWEST))
+
+
+def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
+    """Choose the disparities that the network compares: two steps more than the bounds on either side, at least.
+
+    Parameters
+    ----------
+    bounds
+        (low, high), pixels per view step.
+    farthest
+        Distance of the farthest view, view steps.
+    config
+        `step` and `max_labels`.
+    """
+    low, high = bounds
+    step = max(config.step / farthest, (high - low) / (config.max_labels - 2 * _PADDING - 1))
+    count = math.ceil((high - low) / step) + 1 + 2 * _PADDING
+    count += -count % DISPARITIES
+    return Disparities((low + high) / 2 - step * (count - 1) / 2, step, count)
 
 
 def view_sets(offsets: Float64Array, angle: float) -> Float64Array:

@@ -25,9 +25,14 @@ _TOGETHER = {"cpu": 4, "gpu": 16}  # disparities whose costs are in memory at th
 _GREY = 0.4  # intensity of pixels that are not valid: the mean that images are brought to
 PIXELS, DISPARITIES = 16 * FOLD, 4
 """The network works on as many rows and columns, and on as many disparities, as are multiples of these."""
+NETWORK_REACH = 5 * PIXELS
+"""Pixels on each side of a pixel on which its disparity depends."""
 
 Weights = Mapping[str, Float32Array]
-"""Weights [l, y, x, c_in, c_out] of each convolution as "NAME.weight", and its bias [c_out] as "NAME.bias"."""
+"""Weights [l, y, x, c_in, c_out] of each convolution as "NAME.weight", and its bias [c_out] as "NAME.bias".
+
+`share` [4] and `spread` [3] are those of `KernelSet.judge_peak`.
+"""
 
 Shape = tuple[int, ...]
 
@@ -45,7 +50,7 @@ def read_weights(path: str | Path) -> Weights:
             weights = {name: file[name].astype(np.float32) for name in file.files}
     except (OSError, ValueError, zipfile.BadZipFile) as error:
         raise LightFieldError(f"{path} cannot be read as a file of weights (.npz): {error}.") from error
-    if not {"level0.weight", "logits.weight"} <= set(weights):
+    if not {"level0.weight", "logits.weight", "share", "spread"} <= set(weights):
         raise LightFieldError(f"{path} holds no weights of a network: it was not written by lfgpu train.")
     return weights
 

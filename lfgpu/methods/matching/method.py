@@ -13,7 +13,9 @@ from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.exposure import exposure_of
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.guesses import GUESS_REACH
+from lfgpu.methods.matching.learned import NETWORK_REACH
 from lfgpu.methods.matching.noise import exposed, measured_grain, measured_noise, of_given_noise, smoothing_deviation
+from lfgpu.methods.matching.passes import sweeps_of
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.matching.views import used_views
@@ -88,7 +90,8 @@ class Matching(Method[MatchingConfig]):
         windows = (self.config.prior.window // 2) * passes + self.config.tuning.prior.patch // 2 + 2 * (REACH + 1)
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
         windows += GUESS_REACH * self.config.sweep.resweeps
-        return reach[1] + windows + _PATHS, reach[0] + windows + _PATHS
+        seen = NETWORK_REACH if sweeps_of(self.config)[-1].aggregation == "learned" else _PATHS
+        return reach[1] + windows + seen, reach[0] + windows + seen
 
     def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> MatchingPlan:
         return MatchingPlan(layout, measured, self.config, device)

@@ -59,6 +59,8 @@ FAST = (
     Sweep("all", "few gradients", "surface", 0, "semi-global"),
 )
 
+LEARNED = (Sweep("all", "", "view sets", 0, "learned"),)
+
 
 def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
     """Return the table for a number of sweeps after the first: `ACCURATE` with its third row left out or repeated."""
@@ -70,6 +72,7 @@ def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
 
 TABLES: Mapping[str, Callable[[int], tuple[Sweep, ...]]] = {
     "matching": matching_sweeps,
+    "learned": lambda resweeps: LEARNED,
 }
 """Tables of sweeps by name (`MatchingTuning.passes`), each for a number of sweeps after the first."""
 
@@ -177,9 +180,12 @@ class Sweeps:
             before, found, evidence = sweep, map_out, None
 
     def past(self) -> PlannedSweep:
-        """Return the last sweep, planned to look past a surface even if no sweep follows the first one."""
-        if self._further:
-            return self._further[-1]
+        """Return the last sweep, planned to look past a surface even if no sweep follows the first one.
+
+        Aggregations with costs of their own look past surfaces by themselves.
+        """
+        if self._further or self._first.aggregation.has_own_costs:
+            return self.last
         row = replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation)
         return PlannedSweep(row, self._frame)
 

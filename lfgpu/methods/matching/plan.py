@@ -130,7 +130,8 @@ class MatchingPlan:
         self._sweeps.further(self._swept, self._matched)
 
     def _align(self, callback: Callback | None) -> None:
-        self._alignment.run(self._matched, self._aligned, self._steps, callback)
+        variance = self._sweeps.last.aggregation.variance
+        self._alignment.run(self._matched, variance, self._aligned, self._steps, callback)
 
     def _finish(self, _: Callback | None) -> None:
         self._complete()

@@ -133,6 +133,10 @@ class AlignmentTuning:
         1.8, "steps of the sweep", "A pixel that has moved farther returns to where it was matched: it followed a "
         "reflection.", ablation="alignment: nothing put back",
     )  # fmt: skip
+    matched: float = tuned(
+        0.04, "", "Weight of the network's map against the views, in units of robust over its standard deviation; far "
+        "below 1, as its errors are those of its neighbours, too."
+    )  # fmt: skip
     still: float = tuned(
         1e-2, "", "Weight of a pixel without texture in the mean of its window, so that means exist everywhere."
     )
@@ -199,3 +203,4 @@ FAST = MatchingTuning(
     sweep=replace(ACCURATE.sweep, reduced_weight=0.3),
     alignment=replace(ACCURATE.alignment, support=0.4),
 )
+LEARNED = MatchingTuning("learned", sweep=replace(ACCURATE.sweep, first_views="all"), passes="learned")
