@@ -146,6 +146,8 @@ def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int,
     if axes and (_makes_sense(shape, axes) or (grid is not None and tuple(grid) == shape[:2])):
         return
     fitting = [other for other in _OTHERS[len(shape)] if other != axes and _makes_sense(shape, other)]
+    if axes and not fitting and _makes_sense(shape, axes, longest=np.inf):  # views may be long, if nothing else fits
+        return
     usual = f"views of {shape[axes.index('x')]} x {shape[axes.index('y')]} px" if axes else "no colours last"
     raise LightFieldError(
         f"{path} holds an array of shape {shape}, in the usual order of axes {usual}: say the order with --axes "
@@ -154,19 +156,19 @@ def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int,
     )
 
 
-def _makes_sense(shape: tuple[int, ...], axes: str) -> bool:
-    """Tell whether views are larger than their grid, a few times longer than wide at most, and colours 1, 3 or 4."""
+def _makes_sense(shape: tuple[int, ...], axes: str, *, longest: float = _LONGEST) -> bool:
+    """Tell whether views are larger than their grid, `longest` times as long as wide at most, and colours 1, 3 or 4."""
     size = dict(zip(axes, shape, strict=True))
     if size.get("c", 1) not in (*_COLOURS, *((2,) if axes[-1] == "c" else ())):
         return False
     if "n" in axes:
         count = size["n"]
-        return count <= size["y"] * size["x"] and max(size["y"], size["x"]) <= _LONGEST * min(size["y"], size["x"])
+        return count <= size["y"] * size["x"] and max(size["y"], size["x"]) <= longest * min(size["y"], size["x"])
     colours_for_views = size.get("c", 1) == 1 and {3, 4} & {size["v"], size["u"]} and size["v"] != size["u"]
     return bool(
         size["v"] <= size["y"]
         and size["u"] <= size["x"]
-        and max(size["y"], size["x"]) <= _LONGEST * min(size["y"], size["x"])
+        and max(size["y"], size["x"]) <= longest * min(size["y"], size["x"])
         and not colours_for_views
     )
 

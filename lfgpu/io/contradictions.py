@@ -143,7 +143,7 @@ def unmoved(light_field: LightField) -> str | None:
     far = {n: float(np.hypot(*light_field.offsets[n])) for n in lines}
     ends = [n for n in lines if far[n] == max(far.values())]
     found = moves([(centre, middle(n)) for n in ends])
-    if found is None or centre.std() == 0:
+    if found is None or np.ptp(centre) == 0:
         return None
     if not found.told and found.rms < _UNMOVED:
         return (

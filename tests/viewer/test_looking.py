@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 from urllib.request import urlopen
@@ -28,8 +29,8 @@ def test_pixels_are_those_of_the_data(page: Page, viewer: Viewer, lf: LightField
     left, top, scale = page.place("map")
     grey = (picture == GREY).all(axis=2)
     inside = np.zeros_like(grey)
-    rows = slice(round(top + HOLE[0] * scale), round(top + HOLE[1] * scale))
-    inside[rows, round(left + HOLE[2] * scale) : round(left + HOLE[3] * scale)] = True
+    rows = slice(math.floor(top + HOLE[0] * scale), math.ceil(top + HOLE[1] * scale))
+    inside[rows, math.floor(left + HOLE[2] * scale) : math.ceil(left + HOLE[3] * scale)] = True
     assert not (grey & ~inside).any()
 
 
