@@ -140,7 +140,9 @@ def test_the_wheel_has_the_code_and_nothing_else(wheel: Path) -> None:
     shim = ROOT / "lfgpu" / "kernels.py"
     expected = {path.relative_to(ROOT) for path in CODE - {shim}}
     expected |= {Path("lfgpu/kernels/warp/native", path.name) for path in (ROOT / "kernels/warp/native").iterdir()}
-    expected |= {Path("lfgpu/py.typed")} | {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "native").iterdir()}
+    expected |= {Path("lfgpu/py.typed"), Path("lfgpu/methods/matching/weights.npz")} | {
+        path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "native").iterdir()
+    }
     expected |= {path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "templates").glob("*.html")}
     page = (ROOT / "lfgpu" / "viewer" / "page").rglob("*")
     expected |= {path.relative_to(ROOT) for path in page if path.is_file()}
