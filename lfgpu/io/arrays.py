@@ -146,9 +146,12 @@ def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int,
     if axes and (_makes_sense(shape, axes) or (grid is not None and tuple(grid) == shape[:2])):
         return
     fitting = [other for other in _OTHERS[len(shape)] if other != axes and _makes_sense(shape, other)]
-    if axes and not fitting and _makes_sense(shape, axes, longest=np.inf):  # views may be long, if nothing else fits
+    size = dict(zip(axes, shape, strict=True)) if axes else {}
+    # Views may be long where nothing else fits; but each of their sides is longer than each of the grid's.
+    is_large = axes and min(size["y"], size["x"]) > max(size.get(axis, 1) for axis in "nvu")
+    if is_large and not fitting and _makes_sense(shape, axes, longest=np.inf):
         return
-    usual = f"views of {shape[axes.index('x')]} x {shape[axes.index('y')]} px" if axes else "no colours last"
+    usual = f"views of {size['x']} x {size['y']} px" if axes else "no colours last"
     raise LightFieldError(
         f"{path} holds an array of shape {shape}, in the usual order of axes {usual}: say the order with --axes "
         f"{' or '.join(fitting) if fitting else 'ORDER, one letter of v, u (or n), y, x and c for each axis'} "
