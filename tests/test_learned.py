@@ -45,11 +45,11 @@ def maps(
 
 
 @pytest.mark.parametrize("backend", ["warp", "taichi"])
-@pytest.mark.parametrize(("stored", "share", "channels"), [(np.float32, 0.99, 3), (np.float16, 0.85, 1)])
+@pytest.mark.parametrize(("stored", "within", "channels"), [(np.float32, 1e-3, 3), (np.float16, 2e-2, 1)])
 def test_backends_give_the_maps_of_the_reference(
-    backend: str, stored: type, share: float, channels: int, rng: np.random.Generator
+    backend: str, stored: type, within: float, channels: int, rng: np.random.Generator
 ) -> None:
-    """Of views in colour, and of grey ones with masks."""
+    """Of views in colour, and of grey ones with masks in half precision, which random weights make coarse."""
     pytest.importorskip(backend)
     weights, (layout, views) = random_weights(rng, WIDTHS), some_views(rng, channels)
     if channels == 1:
@@ -59,8 +59,8 @@ def test_backends_give_the_maps_of_the_reference(
     got = maps(backend, weights, layout, views, first, stored)
     assert np.ptp(want[0] - first) > 1
     for name, one, other in zip(MAPS, got, want, strict=True):
-        near = np.abs(one - other) <= 1e-3
-        assert near.mean() >= share, (name, near.mean(), np.abs(one - other).max())
+        near = np.abs(one - other) <= within
+        assert near.mean() >= 0.95, (name, near.mean(), np.abs(one - other).max())
 
 
 def test_maps_are_those_of_pytorch(rng: np.random.Generator) -> None:
