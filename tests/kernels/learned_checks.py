@@ -72,7 +72,7 @@ def judge_peak(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def finding_the_peak(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """A network of few layers on the views of a light field that is loaded each time; in half precision peaks would change places."""
+    """A network of few layers on the views of a light field that is loaded each time."""
     views, stored, count = values["recorded"], np.float32, 4
     inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
     inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
