@@ -32,7 +32,6 @@ class Alignment:
         arena, config = frame.arena, frame.config
         self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, frame.prior, frame.bounds
         self._tuning, self._farthest = config.tuning.alignment, frame.layout.farthest
-        self._matched_weight = arena.field("weight of the matched map", frame.size)
         self._reach = self._tuning.reach * frame.disparities.step
         self._last = _Step(arena, frame.layout, config, self._farthest)
         self._first = self._last
@@ -45,7 +44,7 @@ class Alignment:
         self.curvature = arena.field("curvature", frame.size)
         """The curvature of the views' differences at the map [y, x] of the last step."""
         with arena.scratch() as scratch:
-            self._slope, self._certainty, self._workspace = scratch.fields(3, frame.size)
+            self._slope, self._certainty, self._workspace, self._matched_weight = scratch.fields(4, frame.size)
 
     def load(self) -> None:
         """Take the views of a frame."""
