@@ -137,6 +137,9 @@ def test_what_cannot_be_rendered_is_refused() -> None:
             lfgpu.render_view(lf, maps_, *position)
     with pytest.raises(LightFieldError, match="sources"):
         lfgpu.Renderer(lf, known, sources=0)
+    with pytest.raises(LightFieldError, match=r"make them with lfgpu.estimate_all_views\(lf\)"):
+        lfgpu.render_view(lf, known.disparities)  # type: ignore[arg-type]
+    assert lfgpu.render_view(lf, known).position == tuple(lf.positions[lf.reference_index])
 
 
 # --- focus ---

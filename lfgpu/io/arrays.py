@@ -41,6 +41,7 @@ def positions(shape: tuple[int, int]) -> NDArray[np.float64]:
 _AXES = frozenset("vunyxc")
 _COLOURS = (1, 3, 4)
 _LOOKED_AT = 64  # views that are compared to see how their cameras stood
+_EXTREME = 0.02  # of the largest value: alpha that is so near to an end is at it; of the pixels: so many may be between
 _LONGEST = 5.0  # times longer than wide no view is
 _OTHERS = {
     3: ("yxn",),
@@ -122,16 +123,26 @@ def _seen_as_square(path: Path, array: NDArray[Any], shape: tuple[int, int]) -> 
 
 
 def _check_colours(path: Path, array: NDArray[Any], axes: str) -> None:
-    """Raise LightFieldError if the colours [..., y, x, c] of a view move against each other, as views do."""
+    """Raise LightFieldError if the colours [..., y, x, c] of a view move against each other, as views do, or the alpha
+    channel is none."""
     if array.dtype.kind not in "uf" or array.shape[-1] == 1:
         return
     view = array.reshape(-1, *array.shape[-3:])[len(array) // 2]
-    if parallax.are_views([parallax.grey(view[..., [k]]) for k in range(view.shape[-1])]):
+    no_alpha = view.shape[-1] in (2, 4) and not _is_mask(view[..., -1])
+    if no_alpha or parallax.are_views([parallax.grey(view[..., [k]]) for k in range(view.shape[-1])]):
         raise LightFieldError(
             f"{path}: what are the {view.shape[-1]} colours of each view in the usual order of axes, {axes}, look like "
             f"views; say the order with --axes, such as {axes.replace('n', 'v').replace('c', 'u')} (axes= in Python), "
             f"or --axes {axes} if they are colours."
         )
+
+
+def _is_mask(alpha: NDArray[Any]) -> bool:
+    """Tell whether the values of an alpha channel are a mask's: mostly one end, and elsewhere mostly the other."""
+    top = 1.0 if alpha.dtype.kind == "f" else float(np.iinfo(alpha.dtype).max)
+    least, most = float((alpha <= _EXTREME * top).mean()), float((alpha >= (1 - _EXTREME) * top).mean())
+    between = 1 - least - most
+    return between < _EXTREME or between < (1 - max(least, most)) / 2
 
 
 def _usual(shape: tuple[int, ...]) -> str | None:

@@ -16,6 +16,7 @@ _STEPS = 4  # of views that are looked at on either side of the reference
 _BETTER = 0.3  # of the motion: how much more another way to count cameras must explain
 _MISFIT = 0.15  # of the motion: how much less than one disparity map the places explain where they are wrong
 _HALF, _STILL = 0.5, 0.15  # share of the motion that is explained; steps that are so much shorter than others are none
+_OTHER = 0.5  # times as long as others are steps, at most, that are none if the common map does not explain them
 _LOOKED_AT, _BLOCK = 128, 4  # pixels of the longer side, means of blocks of which are compared upside down
 _UPRIGHT, _LESS = 0.7, 0.3  # correlation of what is upright, and how much less it is the other way
 _BLOCKS, _ONE_SCENE = 12, 0.5  # pixels of the shorter side; correlation of pictures of one scene, at least
@@ -177,7 +178,7 @@ def contradiction(light_field: LightField) -> str | None:
     offsets = light_field.offsets[chosen]
     once = np.hypot(*offsets.T)[:, None]  # views far away tell no more than those nearby
     vectors, offsets = found.vectors / once, offsets / once
-    if found.explained > _HALF and (still := _still_line(vectors, offsets)) is not None:
+    if found.explained > _HALF and (still := _still_line(vectors, offsets, found.shares)) is not None:
         return (
             f"By their parallax the camera stood still between the views of a {still}: perhaps they are times, "
             "exposures or colours of one camera."
@@ -198,13 +199,16 @@ def contradiction(light_field: LightField) -> str | None:
     return f"By their parallax the views do not stand where they are said to stand{told}."
 
 
-def _still_line(vectors: NDArray[np.float64], offsets: NDArray[np.float64]) -> str | None:
-    """Return "row" or "column" if views in such a line do not move, but others do; else None."""
-    steps = [np.hypot(*vectors[offsets[:, 1 - axis] == 0].T) for axis in (0, 1)]
-    if not all(map(len, steps)):
+def _still_line(vectors: NDArray[np.float64], offsets: NDArray[np.float64], shares: NDArray[np.float64]) -> str | None:
+    """Return "row" or "column" if views in such a line do not move as a whole, but others do; else None."""
+    lines = [offsets[:, 1 - axis] == 0 for axis in (0, 1)]
+    if not all(line.any() for line in lines):
         return None
-    across, down = (float(step.max()) for step in steps)
-    return "row" if across < _STILL * down else "column" if down < _STILL * across else None
+    across, down = (float(np.hypot(*vectors[line].T).max()) for line in lines)
+    for name, own, other, line in (("row", across, down, lines[0]), ("column", down, across, lines[1])):
+        if own < (_STILL if shares[line].max() > _HALF else _OTHER) * other:
+            return name
+    return None
 
 
 def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, in_line: bool) -> str:

@@ -15,8 +15,9 @@ from lfgpu.errors import LightFieldError
 
 ROW, COLUMN, CAMERA, TIME, EXPOSURE, UNKNOWN = "row", "column", "camera", "time", "exposure", "unknown"
 CONSTANT = "constant"
+WORD = "the word {} says so"
 BESIDE = "two numbers beside each other"
-"""Reason of the convention for rows and columns without words."""
+"""Reasons: of a word, and of the convention for rows and columns without words."""
 
 _WORDS = {
     ROW: "row rows r v y line",
@@ -37,6 +38,8 @@ _PLACE_DIGITS = 3  # rows and columns without words have no more
 _LONGEST = 18  # digits; no longer number is taken for one
 _NO_PLACE = 10  # digits of seconds since 1970; no place has so many
 _FIRST_YEAR, _LAST_YEAR = 1990, 2040
+SIDE = re.compile(r"left|right|cent(?:er|re)|middle|(?<![A-Z0-9])[lmr](?![A-Z0-9])", re.IGNORECASE)
+"""Words for cameras beside each other."""
 _IN_PAIRS = frozenset("rcvs")
 """Letters that mean too much else (view, version, camera) where no other letter names the other axis."""
 
@@ -77,6 +80,12 @@ class Naming:
         return [n for n in self.numbers if n.meaning == meaning and (n.varies or meaning in (ROW, COLUMN))]
 
     @property
+    def places(self) -> list[tuple[int, ...]]:
+        """The row, column and camera of each picture, as far as there are such numbers."""
+        numbers = [n for meaning in (ROW, COLUMN, CAMERA) for n in self.of(meaning)]
+        return values(numbers) if numbers else [()] * len(self.names)
+
+    @property
     def files(self) -> list[Path]:
         """The pictures."""
         return [name.file for name in self.names]
@@ -100,6 +109,11 @@ class Naming:
         return f"the numbers in names such as {self.names[0].file.relative_to(folder)} are {meanings or 'all the same'}"
 
 
+def values(numbers: Sequence[Number]) -> list[tuple[int, ...]]:
+    """Return the values of several numbers, for each picture."""
+    return list(zip(*(number.values for number in numbers), strict=True))
+
+
 def name_of(file: Path, folder: Path) -> Name:
     """Split the name of a file below a folder into texts and numbers."""
     stem = file.relative_to(folder).with_suffix("").as_posix()
@@ -120,6 +134,7 @@ def _signed(name: Name) -> Name:
 
 def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
     """Files whose names have numbers, those that are named alike but for the numbers together; the most first."""
+    files = list(files)
     plain = [name for file in files if (name := name_of(file, folder)).digits]
     signed = [_signed(name) for name in plain]
     below = {place for name in signed for place, number in enumerate(name.numbers) if number < 0}
@@ -130,8 +145,26 @@ def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
     found: dict[tuple[str, ...], list[Name]] = defaultdict(list)
     for name in plain:
         found[tuple(text.casefold() for text in name.texts)].append(name)
-    kinds = [sorted(kind, key=lambda name: name.numbers) for kind in found.values()]
+    kinds = [sorted(kind, key=lambda name: name.numbers) for kind in (*found.values(), *_sides(files, folder))]
     return sorted(kinds, key=len, reverse=True)
+
+
+def _sides(files: Iterable[Path], folder: Path) -> list[list[Name]]:
+    """Find a picture of each side, whose names differ by left and right (and centre) alone; none if there are more."""
+    found: dict[tuple[str, str], list[Name]] = defaultdict(list)
+    for file in files:
+        stem = file.relative_to(folder).with_suffix("").as_posix()
+        for side in SIDE.finditer(stem):
+            texts = (stem[: side.start()], stem[side.end() :])
+            name = Name(file, texts, (side[0],), (_counted(side[0]),))
+            found[texts[0].casefold(), texts[1].casefold()].append(name)
+    pairs = [names for names in found.values() if {0, 2} <= {name.numbers[0] for name in names}]
+    return pairs if len(pairs) == 1 else []
+
+
+def _counted(text: str) -> int:
+    """Return a number as it is written, or the column of a side: 0, 1 or 2."""
+    return int(text[:_LONGEST]) if text.lstrip("+-").isdigit() else {"l": 0, "r": 2}.get(text[0].lower(), 1)
 
 
 def understood(names: Sequence[Name]) -> Naming:
@@ -145,6 +178,8 @@ def understood(names: Sequence[Name]) -> Naming:
     meanings = _believed(words)
     for place, why in _moments(names).items():
         meanings[place] = (TIME, why)
+    if not first.digits[0].isdigit():
+        meanings[0] = (COLUMN, f"the words {first.digits[0]} and {names[-1].digits[0]} say so")
     _name_pair(names, words, meanings, varying)
     _name_rest(words, columns, meanings, varying)
     return Naming(tuple(names), tuple(Number(*what, tuple(v)) for what, v in zip(meanings, columns, strict=True)))
@@ -171,7 +206,7 @@ def _believed(words: Sequence[str]) -> list[tuple[str, str]]:
     return [
         (UNKNOWN, "")
         if word not in table or (word in _IN_PAIRS and len(axes) < 2)
-        else (table[word], f"the word {word} says so")
+        else (table[word], WORD.format(word))
         for word in words
     ]
 
@@ -284,12 +319,14 @@ def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:
             "* for other numbers."
         )
     places = pieces[::2]
-    text = "([+-]?[0-9]+)".join(re.escape(piece).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for piece in places)
+    text = f"([+-]?[0-9]+|{SIDE.pattern})".join(
+        re.escape(piece).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for piece in places
+    )
     expression = re.compile(text + r"(?:\.[^./]*)?", re.IGNORECASE)
     names, values = [], []
     for file in files:
         if match := expression.fullmatch(file.relative_to(folder).as_posix()):
-            names.append(Name(file, tuple(places), match.groups(), tuple(int(g[:_LONGEST]) for g in match.groups())))
+            names.append(Name(file, tuple(places), match.groups(), tuple(map(_counted, match.groups()))))
             values.append(names[-1].numbers)
     if not names:
         raise LightFieldError(f"{folder} has no picture whose name is of the pattern {pattern!r}.")

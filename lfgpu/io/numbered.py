@@ -19,20 +19,20 @@ from lfgpu.io.naming import (
     BESIDE,
     CAMERA,
     COLUMN,
-    EXPOSURE,
     ROW,
     TIME,
-    UNKNOWN,
+    WORD,
     Name,
     Naming,
     Number,
     families,
     matching,
     understood,
+    values,
 )
+from lfgpu.io.questions import LOOKED_AT, beside, question, rivals
 
 _MOST = 10_000  # places of a row
-_LOOKED_AT = 64  # pictures that are compared to see how their cameras stood
 _OTHERS = 0.5  # of the pictures named alike: so many named otherwise may as well be the views
 
 _CALIBRATIONS = ("transforms.json", "transforms_train.json", "models.json", "poses_bounds.npy", "calib.json")
@@ -127,8 +127,8 @@ def read_numbered(
             "folder that holds them."
         )
     if found.rival is not None:
-        raise LightFieldError(_rivals(path, found))
-    if (asked := _question(path, found.naming)) is not None:
+        raise LightFieldError(rivals(path, found.naming, found.rival, alike=found.alike))
+    if (asked := question(path, found.naming)) is not None:
         raise LightFieldError(asked)
     notes = []
     folders = {file.parent for file in found.naming.files}
@@ -174,13 +174,13 @@ def _alone(naming: Naming) -> Number | None:
 def _is_in_no_line(naming: Naming, alone: Number) -> bool:
     """Tell whether pictures show that their cameras do not stand in a line as the number that differs says."""
     files = [file for _, file in sorted(zip(alone.values, naming.files, strict=True))]
-    return len(files) > 3 and parallax.line(parallax.consecutive(files[:_LOOKED_AT])) not in (None, alone.meaning)
+    return len(files) > 3 and parallax.line(parallax.consecutive(files[:LOOKED_AT])) not in (None, alone.meaning)
 
 
 def frames_of(path: Path, pattern: str | None = None) -> int:
     """Count the times that a folder holds for each of its cameras; 1 if it is no such folder."""
     found = _found(path, pattern)
-    if found is None or found.rival is not None or _question(path, found.naming) is not None:
+    if found is None or found.rival is not None or question(path, found.naming) is not None:
         return 1
     return len(_times(found.naming))
 
@@ -230,100 +230,15 @@ def _names_places(naming: Naming) -> bool:
     return bool(naming.of(ROW) and naming.of(COLUMN))
 
 
-# --- questions ---
-
-
-def _rivals(path: Path, found: _Found) -> str:
-    assert found.rival is not None
-    mine, other = found.naming.files[0], found.rival
-    what = "folders" if mine.parent != other.parent else "names"
-    times = (
-        f" If these {what} are cameras and the numbers times, count the cameras in them, such as cam0 and cam1."
-    ) * found.alike
-    if what == "folders":
-        folders = f"{mine.parent.name}, {other.parent.name}"
-        return f"{path} has several folders with numbered images ({folders}); give one.{times}"
-    return (
-        f"{path} has images named in different ways: {mine.name} and {other.name}; say which are the views with "
-        f'--pattern "{found.naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.{times}'
-    )
-
-
-def _question(path: Path, naming: Naming) -> str | None:
-    """Ask for what names cannot tell: a sentence with the option that settles it; None if all is clear."""
-    unknown, cameras, times = naming.of(UNKNOWN), naming.of(CAMERA), naming.of(TIME)
-    places = [*naming.of(ROW), *naming.of(COLUMN), *cameras]
-    moving = [number for number in places if number.varies]
-    unclear = len(cameras) > 1 or len(naming.of(ROW)) > 1 or len(naming.of(COLUMN)) > 1
-    unclear |= bool(cameras) and any(number.varies for number in places[: -len(cameras)])
-    first = naming.files[0]
-    at = {number.meaning: place for place, number in enumerate(naming.numbers) if number.varies}
-    if naming.of(EXPOSURE) and len(_places(naming)) > len(set(_places(naming))):
-        return (
-            f"{path} has several exposures of each camera, such as {first.name}: choose one with "
-            f'--pattern "{naming.pattern({at[EXPOSURE]: ""})}" (pattern= in Python).'
-        )
-    folders = [place for place, text in enumerate(naming.names[0].texts[1:]) if "/" in text]
-    if unknown and folders and naming.numbers[folders[-1]].varies:
-        names = sorted({file.relative_to(path).parts[0] for file in naming.files})
-        listed_names = ", ".join(names[:4]) + (", ..." if len(names) > 4 else "")
-        at_folder, inside = folders[-1], [k for k, n in enumerate(naming.numbers) if n.varies and k > folders[-1]]
-        if ROW in at and COLUMN in at:
-            proposed = f'"{naming.pattern({at_folder: "t"})}" for times'
-        else:
-            last = inside[0] if inside else at_folder
-            camera, other = (at_folder, last) if at.get(CAMERA) == at_folder else (last, at_folder)
-            proposed = (
-                f'"{naming.pattern({at_folder: "v", last: "u"})}" for rows and columns or '
-                f'"{naming.pattern({camera: "u", other: "t"})}" for cameras and times'
-            )
-        return (
-            f"{path} has several folders with numbered images ({listed_names}); give one, or say what the numbers "
-            f"count with --pattern, such as {proposed} (pattern= in Python)."
-        )
-    if unknown or unclear:
-        return (
-            f"{path}: it cannot be known what the numbers in names such as {first.name} count; say it with "
-            f'--pattern "{naming.pattern()}" (pattern= in Python), where {{u}} is a column, {{v}} a row, '
-            "{n} a camera and {t} a time in place of {?}."
-        )
-    if times and not moving:
-        if (
-            all("word" in number.why for number in times)
-            and parallax.line(parallax.consecutive(naming.files[:_LOOKED_AT])) == "row"
-        ):
-            return None
-        if all("pattern" in number.why for number in times):
-            return None
-        words = iter(["date", "time"] if all("word" not in n.why for n in times) else [])
-        of_time = [place for place, number in enumerate(naming.numbers) if number.meaning == TIME]
-        named = naming.pattern({place: next(words, "t") for place in of_time})
-        return (
-            f"{path}: the numbers in names such as {first.name} are times, which say nothing of where the camera "
-            f'stood; if it moved to the right in equal steps, say --pattern "{named}" (pattern= in Python), and '
-            "--grid ROWSxCOLUMNS if it moved over a grid."
-        )
-    return None
-
-
 # --- one time ---
-
-
-def _values(numbers: Sequence[Number]) -> list[tuple[int, ...]]:
-    return list(zip(*(number.values for number in numbers), strict=True))
-
-
-def _places(naming: Naming) -> list[tuple[int, ...]]:
-    numbers = [n for meaning in (ROW, COLUMN, CAMERA) for n in naming.of(meaning)]
-    return _values(numbers) if numbers else [()] * len(naming.names)
 
 
 def _times(naming: Naming) -> list[tuple[int, ...]]:
     """Return the times at which there are pictures, in order; one if the time follows from the place."""
-    places, times = _places(naming), naming.of(TIME)
+    places, times = naming.places, naming.of(TIME)
     if not times or not places[0] or len(set(places)) == len(places):
         return [()]
-    return sorted(set(_values(times)))
+    return sorted(set(values(times)))
 
 
 def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing: bool) -> tuple[Naming, list[str]]:
@@ -334,10 +249,10 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing
         )
     if len(times) == 1:
         return naming, []
-    wanted, every = times[frame or 0], set(_places(naming))
-    kept = [k for k, time in enumerate(_values(naming.of(TIME))) if time == wanted]
+    wanted, every = times[frame or 0], set(naming.places)
+    kept = [k for k, time in enumerate(values(naming.of(TIME))) if time == wanted]
     naming = _part(naming, kept)
-    places, cameras = set(_places(naming)), len(every)
+    places, cameras = set(naming.places), len(every)
     if len(places) < cameras and not allow_missing:
         raise LightFieldError(
             f"{path} has pictures of {len(places)} of its {cameras} cameras at time {frame or 0}, "
@@ -383,8 +298,9 @@ def _read_grid(
 ) -> LightField:
     """Views at the places that their names say.
 
-    Both axes count from the same number, so that a lost first row is noticed, unless numbers have signs. An axis along
-    which the cameras do not stand (one row or one column of views) is left out of that.
+    Both axes count from the same number, so that a lost first row is noticed, unless numbers have signs or a pattern
+    names them. An axis along which the cameras do not stand (one row or one column of views) is left out of that. x and
+    y are distances: if those of a full grid have a common step, that is the view step.
     """
     if not _is_one_scene(naming):
         names = sorted({file.parent.name for file in naming.files})
@@ -393,25 +309,35 @@ def _read_grid(
             "scene, so they are no rows of one light field."
         )
     axes = (set(rows.values), set(columns.values))
-    lowest = min((min(axis) for axis in axes if len(axis) > 1), default=0)
-    row, column = (lowest if len(axis) > 1 and lowest >= 0 else min(axis) for axis in axes)
-    shape = (max(axes[0]) - row + 1, max(axes[1]) - column + 1)
+    row, column = min(axes[0]), min(axes[1])
+    full = len(naming.names) == len(axes[0]) * len(axes[1])
+    if row != column and min(map(len, axes)) > 1 and min(row, column) >= 0 and not (full and "pattern" in rows.why):
+        if full and rows.why == BESIDE and not allow_missing:
+            raise LightFieldError(beside(path, naming, row, column))
+        row = column = min(row, column)
+    distances = {rows.why, columns.why} == {WORD.format(axis) for axis in "xy"}
+    step = math.gcd(*(r - row for r in axes[0]), *(c - column for c in axes[1])) if distances else 1
+    extent = (max(axes[0]) - row, max(axes[1]) - column)
+    if not step or len(naming.names) < (extent[0] // step + 1) * (extent[1] // step + 1):
+        step = 1
+    shape = (extent[0] // step + 1, extent[1] // step + 1)
     if shape[0] * shape[1] > _MOST * _MOST or max(shape) > _MOST:
         raise LightFieldError(
             f"{path} has images numbered up to {max(max(a) for a in axes)}; that is no grid of cameras."
         )
-    places = list(zip(rows.values, columns.values, strict=True))
+    places = [((r - row) // step, (c - column) // step) for r, c in zip(rows.values, columns.values, strict=True)]
     light_field = read_grid(
-        by_place(((r - row, c - column), file) for (r, c), file in zip(places, naming.files, strict=True)),
+        by_place(zip(places, naming.files, strict=True)),
         shape,
         folder=path,
         allow_missing=allow_missing,
         notes=notes,
     )
     why = f"{naming.sentence(path)}; rows count from {row}, columns from {column}"
+    why += f", in steps of {step}" * (step > 1)
     light_field = replace(light_field, reading=replace(light_field.reading, places=why))
-    if min(row, column) < 0 and (0, 0) in places:
-        return light_field.with_reference(light_field.index_of(-row, -column))
+    if min(row, column) < 0 and (0, 0) in zip(rows.values, columns.values, strict=True):
+        return light_field.with_reference(light_field.index_of(-row // step, -column // step))
     return light_field
 
 
@@ -431,7 +357,7 @@ def _read_row(
 ) -> LightField:
     views = sorted(zip(number.values, naming.files, strict=True))
     if number.meaning == TIME or _times_only(naming):
-        views = list(enumerate(file for _, file in sorted(zip(_values(naming.of(TIME)), naming.files, strict=True))))
+        views = list(enumerate(file for _, file in sorted(zip(values(naming.of(TIME)), naming.files, strict=True))))
     first, last_number = views[0][0], views[-1][0]
     step = math.gcd(*(value - first for value, _ in views)) or 1
     if (last_number - first) // step >= _MOST:
@@ -475,7 +401,7 @@ def _shape(path: Path, files: Sequence[Path], count: int, *, down: bool) -> tupl
     grids = [(rows, count // rows) for rows in range(2, count // 2 + 1) if count % rows == 0]
     if not grids or len(files) != count:
         return (1, count), "they are taken for one row, to the right in equal steps"
-    looked_at = files[:_LOOKED_AT]
+    looked_at = files[:LOOKED_AT]
     told = parallax.consecutive(looked_at)
     if parallax.line(told) == "row":
         return (1, count), "by their parallax they stand in one row; it is taken to run to the right in equal steps"

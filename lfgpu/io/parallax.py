@@ -31,6 +31,7 @@ FITS = 0.85  # share of the motion that the right order of cameras explains, at 
 _CLEARER = 0.05  # of the motion: how much more the right order explains than any other
 _AGAINST = 0.3  # of a step, against the direction in which it should be
 _STILL = 0.01  # pixels of the shrunken views, rms: less is no motion
+_BRIGHTEST = 1e6  # times white: squares of such values are still finite
 _ALIKE = 0.7  # correlation of pictures of one scene; those of other scenes are below it, as a rule
 
 
@@ -44,6 +45,8 @@ class Moves:
     """Share of the motion that they explain, 0 to 1."""
     rms: float
     """Motion of the pictures, pixels."""
+    shares: NDArray[np.float64]
+    """[pairs], share of the motion of each pair that they explain."""
 
     @property
     def still(self) -> bool:
@@ -81,9 +84,11 @@ def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], fac
     total = float((matrix**2).sum())
     rms = factor * np.sqrt(total / max(float(weight.sum()) * len(pairs), 1e-12))
     if rms < _STILL or total == 0:
-        return Moves(np.zeros((len(pairs), 2)), 1.0, 0.0)
+        return Moves(np.zeros((len(pairs), 2)), 1.0, 0.0, np.ones(len(pairs)))
     left, values, _ = np.linalg.svd(matrix, full_matrices=False)
-    return Moves((left[:, 0] * values[0]).reshape(2, -1).T, float(values[0] ** 2 / total), float(rms))
+    vectors = (left[:, 0] * values[0]).reshape(2, -1).T
+    shares = (vectors**2).sum(1) / np.maximum((matrix**2).sum(1).reshape(2, -1).sum(0), 1e-12)
+    return Moves(vectors, float(values[0] ** 2 / total), float(rms), shares)
 
 
 def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -210,13 +215,19 @@ def consecutive(files: Sequence[Path]) -> Moves | None:
 
 
 def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
-    """Return the distances of the cameras of consecutive grey pictures [y, x]; None if they are too small."""
-    return moves(list(pairwise(pictures)))
+    """Return the distances of the cameras of consecutive grey pictures [y, x]; None if they are too small, or not
+    finite.
+    """
+    return moves(list(pairwise(pictures))) if all(map(_in_bounds, pictures)) else None
+
+
+def _in_bounds(picture: NDArray[np.float64]) -> bool:
+    return bool(np.abs(picture).max() < _BRIGHTEST)  # False for NaN
 
 
 def are_views(planes: Sequence[NDArray[np.float64]]) -> bool:
     """Tell whether pictures that may be colours of one view look like views of a line of cameras in equal steps."""
-    if not all(np.isfinite(plane).all() and plane.std() > 0 for plane in planes):
+    if not all(_in_bounds(plane) and plane.std() > 0 for plane in planes):
         return False
     alike = min(float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) for a, b in pairwise(planes))
     found = in_sequence(planes) if alike > _ALIKE else None
@@ -230,7 +241,8 @@ def are_views(planes: Sequence[NDArray[np.float64]]) -> bool:
 def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
     """Return a picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
     scale = 1.0 if picture.dtype.kind == "f" else float(np.iinfo(picture.dtype).max)
-    return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // AROUND))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
+        return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // AROUND))
 
 
 def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import struct
 from itertools import islice
 from pathlib import Path
@@ -20,6 +21,7 @@ from lfgpu.io.extras import require
 from lfgpu.io.limits import check_claim
 from lfgpu.io.tiff_pages import check_pages, pages
 
+_PLANES = 3  # pages of a view, if each is a colour
 _COLOURS = 4  # samples of a pixel; more are views
 _ORIENTATION = 274  # tag
 _SAMPLES = {"<": struct.pack("<H", 277), ">": struct.pack(">H", 277)}  # the tag SamplesPerPixel
@@ -57,7 +59,7 @@ def read_tiff_stack(path: Path, *, grid: tuple[int, int] | None = None, axes: st
 
     Views stand row by row in the `grid` that is given, else as the file's own description says (tifffile and ImageJ
     write it for arrays), else in a square. `axes` is the order of the axes of the pages, such as "ncyx"; None takes
-    what the file says.
+    what the file says. Pages that are planes of colours are "ncyx"; "cnyx" if all views of a colour come together.
     """
     if not path.is_file():
         raise LightFieldError(f"{path} is not a TIFF file of several pages.")
@@ -67,9 +69,9 @@ def read_tiff_stack(path: Path, *, grid: tuple[int, int] | None = None, axes: st
         check_pages(path)
         with tifffile.TiffFile(path) as file:
             array, named = _pages(path, file, as_stored=axes is not None)
-    views, why = arranged(path, array, grid, axes or named)
+    views, why = arranged(path, _unfolded(path, array, grid, axes), grid, axes or named)
     if axes is None and named is not None:
-        why = why.replace("as told", "as the file names them")
+        why = why.replace("as told", "as the file names them", 1)
     return grid_field(path, views, reading=Reading(why))
 
 
@@ -92,6 +94,24 @@ def _pages(path: Path, file: Any, *, as_stored: bool) -> tuple[NDArray[Any], str
     if axes is None and not as_stored and 0 <= samples < array.ndim - 1:
         array = np.moveaxis(array, samples, -1)
     return array, axes
+
+
+def _unfolded(path: Path, array: NDArray[Any], grid: tuple[int, int] | None, axes: str | None) -> NDArray[Any]:
+    """Split pages [n, y, x] that are planes of colours as `axes` says; LightFieldError asks for it where `grid` shows
+    that they are.
+    """
+    count = math.prod(grid or (0,)) or len(array) // _PLANES
+    if array.ndim != 3 or len(array) != _PLANES * count:
+        return array
+    if grid is not None and axes is None:
+        raise LightFieldError(
+            f"{path} has {len(array)} pages, {_PLANES} times the {count} views of a grid of {grid[0]} x {grid[1]}: if "
+            "they are colours, say --axes ncyx if those of a view follow each other, or --axes cnyx if all views of a "
+            "colour do (axes= in Python)."
+        )
+    if axes in ("ncyx", "cnyx"):
+        return array.reshape([count if axis == "n" else _PLANES for axis in axes[:2]] + [*array.shape[1:]])
+    return array
 
 
 def _axes(series: Any) -> str | None:

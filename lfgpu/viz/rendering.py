@@ -97,7 +97,8 @@ class Renderer:
         check_light_field(lf)
         if not isinstance(maps, ViewsResult):
             raise LightFieldError(
-                f"maps must be those of all views, as estimate_all_views returns them, not {type(maps).__name__}."
+                f"maps must be those of all views, not {type(maps).__name__}; make them with "
+                "lfgpu.estimate_all_views(lf)."
             )
         if maps.disparities.shape != lf.views.shape[:3] or not np.allclose(maps.positions, lf.positions, atol=1e-6):
             raise LightFieldError(
@@ -194,8 +195,8 @@ class Renderer:
 def render_view(
     lf: LightField,
     maps: ViewsResult,
-    row: float,
-    column: float,
+    row: float | None = None,
+    column: float | None = None,
     *,
     sources: int = _SOURCES,
     backend: BackendName = DEFAULT,
@@ -208,8 +209,9 @@ def render_view(
     lf, maps, sources, backend, device
         As for `Renderer`.
     row, column
-        Where the view is taken from: v and u of `LightField.positions`, in a grid its row and column. Fractions are
-        allowed, and places beyond the grid; there, what no view shows is filled.
+        Where the view is taken from: v and u of `LightField.positions`, in a grid its row and column; None (default)
+        is that of the reference. Fractions are allowed, and places beyond the grid; there, what no view shows is
+        filled.
 
     Raises
     ------
@@ -222,7 +224,9 @@ def render_view(
     >>> lfgpu.render_view(lf, maps, 1.5, 2.25).image.shape
     (64, 80, 3)
     """
-    return Renderer(lf, maps, sources=sources, backend=backend, device=device)(row, column)
+    render = Renderer(lf, maps, sources=sources, backend=backend, device=device)
+    u, v = lf.positions[lf.reference_index]
+    return render(float(v) if row is None else row, float(u) if column is None else column)
 
 
 def _blended(

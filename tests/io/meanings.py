@@ -153,7 +153,8 @@ def _count(rng: Random, word: str) -> Callable[[int], str]:
     """Draw how a number is written."""
     first, digits = pick(rng, (0, 0, 0, 1, 1, 3)), pick(rng, (1, 2, 2, 3, 4) if word else (1, 2, 2, 3))
     glue = pick(rng, ("", "", "_", "-", " ")) if word else ""
-    return lambda n: f"{word}{glue}{n + first:0{digits}d}"
+    step = pick(rng, (1, 1, 10, 25)) if word in ("x", "y") and not first else 1  # distances
+    return lambda n: f"{word}{glue}{n * step + first:0{digits}d}"
 
 
 def _joined(rng: Random, parts: Sequence[str], between: Sequence[str]) -> str:
@@ -191,7 +192,10 @@ def _pictures(scene: Scene, place: Path, rng: Random) -> Told:
         fields, named = [lambda r, c: row(r), lambda r, c: column(c)], ["{v}", "{u}"]
     if swap:
         fields, named = fields[::-1], named[::-1]
-    times = pick(rng, (1, 1, 1, 2, 3))
+    if rows == 1 and columns < 4 and rng.random() < 0.5:
+        sides = pick(rng, (("left", "center", "right"), ("L", "M", "R"), ("Left", "Middle", "Right")))[:: 4 - columns]
+        scheme, fields, named = "sides", [lambda r, c: sides[c]], ["{u}"]
+    times = pick(rng, (1, 1, 1, 2, 3)) if scheme != "sides" else 1
     time_at = pick(rng, ("first", "last", "folder"))
     time_word = pick(rng, ("frame", "t", "time", "", "Frame", "shot", "take")) if times > 1 else ""
     time_digits = pick(rng, (1, 2, 4, 6))
@@ -209,7 +213,7 @@ def _pictures(scene: Scene, place: Path, rng: Random) -> Told:
     def name(r: int, c: int, t: int, *, pattern: bool = False) -> str:
         own = [write(r, c) for write in fields]
         if pattern:
-            own = [re.sub(r"\d+", mark, text) for text, mark in zip(own, named, strict=True)]
+            own = [re.sub(r"\d+|^[A-Za-z]+$", mark, text) for text, mark in zip(own, named, strict=True)]
         time = "" if times == 1 else f"{time_word}{'{t}' if pattern else f'{t:0{time_digits}d}'}"
         parts = [before, *own, after]
         if time_at == "first" and time:
@@ -350,11 +354,15 @@ def _pages(scene: Scene, place: Path, rng: Random) -> Told:
     flat = flat if kind == "rgb" else flat[..., 0]
     path = place / "pages.tif"
     at_once = rng.random() < 0.5
+    answers: dict[str, Any] = {"grid": (rows, columns)}
+    if kind == "rgb" and rng.random() < 0.3:  # a page for each colour
+        kind, answers["axes"] = "minisblack", pick(rng, ("ncyx", "cnyx"))
+        flat = flat.transpose(["nyxc".index(axis) for axis in answers["axes"]]).reshape(-1, *flat.shape[1:3])
     if at_once:
         tifffile.imwrite(path, flat, photometric=kind, metadata=pick(rng, (None, {})))
     for page in () if at_once else flat:
         tifffile.imwrite(path, page, photometric=kind, append=True)
-    return Told(path, f"pages {rows}x{columns}{' at once' * at_once}", {"grid": (rows, columns)})
+    return Told(path, f"pages {answers}{' at once' * at_once}", answers)
 
 
 WAYS: tuple[Callable[[Scene, Path, Random], Told], ...] = (

@@ -142,6 +142,59 @@ def test_transparency_that_is_no_mask_and_pages_on_their_side(true: LightField, 
     assert "pages that are stored turned" in refusal(lambda: read(tmp_path / "a.tif"))
 
 
+def test_views_last_are_no_alpha_channel(true: LightField, tmp_path: Path) -> None:
+    grid = true.views.reshape(3, 4, *true.views.shape[1:])
+    for count in (2, 4):
+        np.save(tmp_path / "a.npy", grid[:, :count, ..., 1].transpose(0, 2, 3, 1)[:, None])  # [v, c, y, x, u]
+        assert "look like views" in refusal(lambda: read(tmp_path / "a.npy", grid=(3, 1)))
+    mask = np.zeros((*true.views.shape[:3], 1), np.uint8)
+    mask[:, 20:60, 30:70] = 255
+    mask[:, 19], mask[:, 60] = 128, 128  # soft edges
+    np.save(tmp_path / "a.npy", np.concatenate([true.views, mask], axis=-1))
+    found = read(tmp_path / "a.npy", grid=(3, 4)).valid
+    assert found is not None
+    np.testing.assert_array_equal(found, mask[..., 0] > 127)
+
+
+def test_cameras_and_times_without_words(true: LightField, tmp_path: Path) -> None:
+    row = true.subset("row")
+    for time in range(2):
+        for camera, view in enumerate(row.views):
+            save(tmp_path / f"rgb_{camera + 3:02d} {time:02d}.png", meanings._later(view, time))
+    text = refusal(lambda: read(tmp_path))
+    assert '"rgb_{v} {u}.png" if there are no others' in text
+    np.testing.assert_array_equal(read(tmp_path, pattern="rgb_{n} {t}.png", grid=(1, 4)).views, row.views)
+    assert "the camera stood still between the views of a row" in read(tmp_path, allow_missing=True).notes[-1]
+    assert read(tmp_path, pattern="rgb_{v} {u}.png").grid_shape == (4, 2)
+
+
+def test_left_and_right_and_distances(true: LightField, tmp_path: Path) -> None:
+    row = true.subset("row")
+    for number, names in enumerate(
+        (("left", "right"), ("view1_R5_L", "view1_R5_R"), ("left", "center", "right"), ("a/imgLeft8", "a/imgRight8"))
+    ):
+        folder = tmp_path / str(number)
+        for name, view in zip(names, row.views, strict=False):
+            save(folder / f"{name}.png", view)
+        np.testing.assert_array_equal(read(folder).views, row.views[: len(names)])
+    for name in ("left_0.png", "left_1.png", "right_0.png", "right_1.png"):
+        save(tmp_path / "video" / name, row.views[int("right" in name)])
+    assert 'say --pattern "{u}_{t}.png"' in refusal(lambda: read(tmp_path / "video"))
+    np.testing.assert_array_equal(read(tmp_path / "video", pattern="{u}_{t}.png", frame=1).views, row.views[:2])
+    for index, (v, u) in enumerate(np.ndindex(3, 4)):
+        save(tmp_path / "distances" / f"y{25 * v}_x{25 * u}.png", true.views[index])
+    np.testing.assert_array_equal(read(tmp_path / "distances").offsets, true.offsets)
+
+
+def test_planes_of_colours_as_pages(true: LightField, tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile")
+    for axes in ("ncyx", "cnyx"):
+        planes = true.views.transpose(["nyxc".index(axis) for axis in axes])
+        tifffile.imwrite(tmp_path / "a.tif", planes.reshape(-1, *true.size), photometric="minisblack", metadata=None)
+        assert "if they are colours, say --axes ncyx" in refusal(lambda: read(tmp_path / "a.tif", grid=(3, 4)))
+        np.testing.assert_array_equal(read(tmp_path / "a.tif", grid=(3, 4), axes=axes).views, true.views)
+
+
 def test_flags_are_true_or_false(true: LightField, tmp_path: Path) -> None:
     folder = named(true, tmp_path, "row{v}_col{u}.png")
     for flag in ("transpose", "allow_missing", "lazy"):

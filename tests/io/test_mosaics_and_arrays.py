@@ -131,6 +131,7 @@ def test_numpy_files_that_are_refused(tmp_path: Path) -> None:
         (np.zeros((3, 3), np.uint8), "views must be [v, u, y, x, c]"),
         (np.zeros((2, 2, 4, 5, 3), np.int64), "int64 values"),
         (np.full((2, 2, 4, 5, 3), np.inf), "NaN or infinite"),
+        (np.full((4, 40, 50, 3), [np.inf, -np.inf, 1]), "NaN or infinite"),  # of which a mean is not defined
         (np.zeros((2, 2, 4, 5, 3), [("a", "u1")]), "holds records"),
     ):
         np.save(tmp_path / "a.npy", array)
