@@ -45,9 +45,21 @@ def _count(grey: NDArray[np.float64], side: int) -> int | None:
             if alike < _ALIKE_PERHAPS or alike < _alike(grey, step // 2) + _MORE:  # smooth pictures resemble themselves
                 continue
             if alike > _ALIKE:
-                return count
+                return None if _shows_views(grey[:step], side // count) else count
             found = None
     return found
+
+
+def _shows_views(grey: NDArray[np.float64], side: int) -> bool:
+    """Tell whether a part of a picture has parts along its first axis two of which are alike: others may be upside
+    down."""
+    for count in range(2, len(grey) // _SMALLEST + 1):
+        step = len(grey) // count
+        for start in range(0, len(grey) - 2 * step + 1, step) if side % count == 0 else ():
+            pair = grey[start : start + 2 * step]
+            if _alike(pair, step) > max(_ALIKE, _alike(pair, step // 2) + _MORE):
+                return True
+    return False
 
 
 def _alike(grey: NDArray[np.float64], step: int) -> float:

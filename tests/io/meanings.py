@@ -149,11 +149,10 @@ _WORDS = (("row", "col"), ("r", "c"), ("v", "u"), ("y", "x"), ("Row", "Column"),
 _KINDS = ("png", "png", "PNG", "tif", "tiff", "bmp", "jpg", "webp", "ppm")
 
 
-def _count(rng: Random, word: str) -> Callable[[int], str]:
+def _count(rng: Random, word: str, step: int = 1) -> Callable[[int], str]:
     """Draw how a number is written."""
     first, digits = pick(rng, (0, 0, 0, 1, 1, 3)), pick(rng, (1, 2, 2, 3, 4) if word else (1, 2, 2, 3))
     glue = pick(rng, ("", "", "_", "-", " ")) if word else ""
-    step = pick(rng, (1, 1, 10, 25)) if word in ("x", "y") and not first else 1  # distances
     return lambda n: f"{word}{glue}{n * step + first:0{digits}d}"
 
 
@@ -188,7 +187,8 @@ def _pictures(scene: Scene, place: Path, rng: Random) -> Told:
         both = ["", ""] if scheme == "numbers" else list(words)
         if scheme == "one word":
             both = [pick(rng, ("row", "Row", "y", "line")), ""]
-        row, column = (_count(rng, word) for word in both)
+        step = pick(rng, (1, 1, 10, 25)) if set(both) == {"x", "y"} else 1  # distances
+        row, column = (_count(rng, word, step) for word in both)
         fields, named = [lambda r, c: row(r), lambda r, c: column(c)], ["{v}", "{u}"]
     if swap:
         fields, named = fields[::-1], named[::-1]
@@ -405,6 +405,13 @@ def _judged(lf: LightField, scene: Scene, *, masked: bool) -> str:
     return _compared(lf, scene, turned=scene.lie == "turned", mirrored=False, masked=masked)
 
 
+def _view_steps(lf: LightField, places: NDArray[np.intp]) -> NDArray[np.float64]:
+    """Return offsets in view steps where a pattern told numbers that are distances, which have another unit."""
+    longest = max(float(np.abs(lf.offsets).max()), 1.0)
+    factor = np.abs(places).max() / longest if "the pattern says so" in lf.reading.places else 1.0
+    return lf.offsets * factor
+
+
 def _compared(lf: LightField, scene: Scene, *, turned: bool, mirrored: bool, masked: bool) -> str:
     rows, columns = scene.shape
     views, places = scene.views, np.stack(np.meshgrid(np.arange(columns), np.arange(rows)), axis=-1)
@@ -432,9 +439,10 @@ def _compared(lf: LightField, scene: Scene, *, turned: bool, mirrored: bool, mas
     if len(set(where)) != len(true):
         return f"{len(set(where))} of {len(true)} views"
     offsets = places[where] - places[where[lf.reference_index]]
-    if np.array_equal(offsets, lf.offsets):
+    seen = _view_steps(lf, offsets)
+    if np.allclose(offsets, seen):
         return "same"
-    return "reversed" if np.array_equal(offsets, -lf.offsets) else f"cameras at {lf.offsets[:3].tolist()}"
+    return "reversed" if np.allclose(offsets, -seen) else f"cameras at {lf.offsets[:3].tolist()}"
 
 
 def outcome(scene: Scene, told: Told) -> tuple[str, str]:
