@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import islice
 
 import numpy as np
@@ -107,7 +108,7 @@ def other_scenes(light_field: LightField) -> str | None:
     centre = grey_of(light_field, light_field.reference_index, factor)
     if centre.std() == 0:
         return None
-    for index in (n for axis in (0, 1) if (n := beside(light_field, axis)) is not None):
+    for index in _around(light_field):
         if _alike_moved(grey_of(light_field, index, factor), centre) < _ONE_SCENE:
             u, v = light_field.positions[index]
             return (
@@ -115,6 +116,15 @@ def other_scenes(light_field: LightField) -> str | None:
                 "are of several times or scenes, or are stored in another way."
             )
     return None
+
+
+def _around(light_field: LightField) -> Iterator[int]:
+    """Yield the views that stand beside the reference in its row and column, on either side."""
+    for axis, line in enumerate((light_field.row(), light_field.column())):
+        apart = light_field.offsets[line, axis]
+        for side in (apart < 0, apart > 0):
+            if side.any():
+                yield int(line[side][np.argmin(np.abs(apart[side]))])
 
 
 def _alike_moved(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:

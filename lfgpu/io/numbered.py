@@ -311,16 +311,13 @@ def _read_grid(
     axes = (set(rows.values), set(columns.values))
     row, column = min(axes[0]), min(axes[1])
     full = len(naming.names) == len(axes[0]) * len(axes[1])
-    if row != column and min(map(len, axes)) > 1 and min(row, column) >= 0 and not (full and "pattern" in rows.why):
+    step = _step(*axes) if full and {rows.why, columns.why} == {WORD.format(axis) for axis in "xy"} else 1
+    own = min(row, column) < 0 or min(map(len, axes)) == 1 or step > 1 or (full and "pattern" in rows.why)
+    if row != column and not own:
         if full and rows.why == BESIDE and not allow_missing:
             raise LightFieldError(beside(path, naming, row, column))
         row = column = min(row, column)
-    distances = {rows.why, columns.why} == {WORD.format(axis) for axis in "xy"}
-    step = math.gcd(*(r - row for r in axes[0]), *(c - column for c in axes[1])) if distances else 1
-    extent = (max(axes[0]) - row, max(axes[1]) - column)
-    if not step or len(naming.names) < (extent[0] // step + 1) * (extent[1] // step + 1):
-        step = 1
-    shape = (extent[0] // step + 1, extent[1] // step + 1)
+    shape = ((max(axes[0]) - row) // step + 1, (max(axes[1]) - column) // step + 1)
     if shape[0] * shape[1] > _MOST * _MOST or max(shape) > _MOST:
         raise LightFieldError(
             f"{path} has images numbered up to {max(max(a) for a in axes)}; that is no grid of cameras."
@@ -339,6 +336,12 @@ def _read_grid(
     if min(row, column) < 0 and (0, 0) in zip(rows.values, columns.values, strict=True):
         return light_field.with_reference(light_field.index_of(-row // step, -column // step))
     return light_field
+
+
+def _step(*axes: set[int]) -> int:
+    """Return the common step of distances along rows and columns; 1 if some of them are left out."""
+    step = math.gcd(*(value - min(axis) for axis in axes for value in axis)) or 1
+    return step if all(len(axis) == (max(axis) - min(axis)) // step + 1 for axis in axes) else 1
 
 
 # --- cameras with one number ---

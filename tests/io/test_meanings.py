@@ -182,8 +182,15 @@ def test_left_and_right_and_distances(true: LightField, tmp_path: Path) -> None:
     assert 'say --pattern "{u}_{t}.png"' in refusal(lambda: read(tmp_path / "video"))
     np.testing.assert_array_equal(read(tmp_path / "video", pattern="{u}_{t}.png", frame=1).views, row.views[:2])
     for index, (v, u) in enumerate(np.ndindex(3, 4)):
-        save(tmp_path / "distances" / f"y{25 * v}_x{25 * u}.png", true.views[index])
+        save(tmp_path / "distances" / f"y{25 * v}_x{25 * u + 1}.png", true.views[index])
     np.testing.assert_array_equal(read(tmp_path / "distances").offsets, true.offsets)
+
+
+def test_an_alpha_channel_among_views(true: LightField, tmp_path: Path) -> None:
+    mask = np.random.default_rng(0).random((*true.views.shape[:3], 1)) < 0.8
+    planes = np.concatenate([true.views, 255 * mask.astype(np.uint8)], axis=-1)[:4].transpose(3, 0, 1, 2)
+    np.save(tmp_path / "a.npy", planes)  # [c, n, y, x], taken for a grid
+    assert "does not look like the reference" in read(tmp_path / "a.npy").notes[-1]
 
 
 def test_planes_of_colours_as_pages(true: LightField, tmp_path: Path) -> None:
