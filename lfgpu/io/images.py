@@ -266,14 +266,14 @@ def _normalised(
         image = image[..., None]
     if image.ndim != 3 or image.shape[2] > 4 or 0 in image.shape:
         raise LightFieldError(f"{path} has the shape {image.shape}; a view must be one grey or RGB image.")
+    image = image.astype(image.dtype.newbyteorder("="), copy=False)
+    if image.dtype not in (np.uint8, np.uint16, np.float32, np.float64):
+        raise LightFieldError(f"{path} has {image.dtype} values; views must be uint8, uint16 or float32: convert it.")
     if image.shape[2] in (2, 4):
         image, valid = image[..., :-1], opaque(image[..., -1])
-    image = image.astype(image.dtype.newbyteorder("="), copy=False)
     if image.dtype == np.float64:
         image = image.astype(np.float32)
         remarks.add(FLOAT64_ROUNDED)
-    if image.dtype not in (np.uint8, np.uint16, np.float32):
-        raise LightFieldError(f"{path} has {image.dtype} values; views must be uint8, uint16 or float32: convert it.")
     if finite and image.dtype == np.float32 and not np.isfinite(image).all():
         raise LightFieldError(f"{path} has NaN or infinite values; the values of a view must be finite.")
     return image, valid, frozenset(remarks)

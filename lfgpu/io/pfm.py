@@ -15,7 +15,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write
 
 # kind, width, height, scale; one white character, and the data begin
-_HEADER = re.compile(rb"(P[Ff])\s+([0-9]{1,9})\s+([0-9]{1,9})\s+([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)(?:\r\n|\s)")
+_HEADER = re.compile(rb"(P[Ff])\s+([0-9]{1,9})\s+([0-9]{1,9})\s+([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?:\r\n|\s)")
 _LONGEST = 256  # bytes of a header
 
 

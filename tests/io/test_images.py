@@ -205,6 +205,12 @@ def test_alpha_says_which_pixels_are_valid(tmp_path: Path) -> None:
     assert light_field.notes[-1].startswith("Transparent pixels are not valid")
 
 
+def test_bits_with_alpha_are_refused(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
+    tifffile.imwrite(tmp_path / "a.tif", np.ones((8, 9, 4), np.bool_), photometric="rgb")
+    assert "has bool values" in refusal(lambda: read_image(tmp_path / "a.tif"))
+
+
 def test_grey_with_alpha_stays_grey(tmp_path: Path) -> None:
     save(tmp_path / "0_0.png", picture(0, 2))
     save(tmp_path / "0_1.png", picture(1, 1))

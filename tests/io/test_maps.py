@@ -58,6 +58,7 @@ def bad_maps(folder: Path) -> dict[str, str]:
     (folder / "long.pfm").write_bytes(b"Pf\n2 1\n-1.0\n" + data)
     (folder / "empty.pfm").write_bytes(b"")
     (folder / "text.pfm").write_bytes(b"hello")
+    (folder / "dots.pfm").write_bytes(b"Pf\n2 1\n-..0\n" + data)
     np.save(folder / "line.npy", np.zeros(4))
     np.save(folder / "pickle.npy", np.array([{}], object), allow_pickle=True)
     np.save(folder / "complex.npy", np.zeros((2, 2), complex))
@@ -69,6 +70,7 @@ def bad_maps(folder: Path) -> dict[str, str]:
     (folder / "folder.npy").mkdir()
     return {
         "colour.pfm": "colour PFM",
+        "dots.pfm": "does not begin with",
         "short.pfm": "damaged: 3 x 3 float32 values are 36 bytes, it has 24",
         "long.pfm": "damaged",
         "empty.pfm": "not a PFM",
