@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import re
+import shlex
 import shutil
 import signal
 import socket
@@ -320,6 +321,39 @@ def test_a_scheduler_that_is_started_again_costs_nothing(
         assert not batch.is_alive()
     assert (summary[0].computed, len(summary[0].failed)) == (4, 1)
     assert_same_maps(tmp_path, undisturbed)
+
+
+def test_a_cluster_with_certificates_of_ones_own(
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What `docs/batch.md` says of tls:// works, and nobody else is answered."""
+    from distributed import Client
+    from distributed.security import Security
+
+    page = (ROOT / "docs" / "batch.md").read_text(encoding="utf-8")
+    made = re.findall(r"^    (openssl .*)$", page, re.MULTILINE)
+    for command in made:
+        subprocess.run(shlex.split(command), cwd=tmp_path, check=True, capture_output=True)
+    settings = re.search(r"```yaml\n(# ~/.config/dask/tls.yaml.*?)```", page, re.DOTALL)
+    assert settings is not None
+    assert len(made) == 3
+    (tmp_path / "tls.yaml").write_text(settings[1].replace("/secret", str(tmp_path)))
+    monkeypatch.setenv("DASK_CONFIG", str(tmp_path / "tls.yaml"))
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tls://127.0.0.1:{port}"
+    scheduler = ["distributed.cli.dask_scheduler", "--protocol", "tls", "--host", "127.0.0.1", "--port", str(port)]
+    worker = ["distributed.cli.dask_worker", address, "--nthreads", "1", "--no-dashboard", "--no-nanny"]
+    batch = [sys.executable, "-m", "lfgpu", "batch", str(scene_folders), "-o", str(tmp_path / "out"), "--device=cpu"]
+    batch += ["--preset=fast", "--disparity-range=-1.2,1.2", "--scheduler", address]
+    with started([*scheduler, "--no-dashboard"]), started(worker):
+        done = subprocess.run(batch, capture_output=True, text=True, timeout=300, check=False)
+        for tried, security in ((address.replace("tls", "tcp"), None), (address, Security.temporary())):
+            with pytest.raises(OSError, match=r"."):
+                Client(tried, security=security, timeout=3)
+    entries = read_manifest(tmp_path / "out")
+    assert sorted(entry["status"] for entry in entries.values()) == [DONE] * 4 + [FAILED], done.stderr
 
 
 def test_five_hundred_light_fields_come_out(tmp_path: Path, rng: np.random.Generator) -> None:

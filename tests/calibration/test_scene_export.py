@@ -89,9 +89,9 @@ def test_all_views_have_depth_and_share_a_world(tmp_path: Path) -> None:
 
 
 def test_the_camera_in_terms_of_ros_and_opencv() -> None:
-    lf = scene()
-    geometry = lf.geometry
-    assert geometry is not None
+    assert scene().geometry is not None
+    geometry = replace(scene().geometry, pixel_aspect=1.25)  # type: ignore[type-var]
+    lf = replace(scene(), geometry=geometry)
     for index in (lf.reference_index, 0):
         info = camera_info(lf, index)
         assert (info.width, info.height, info.distortion_model, len(info.d)) == (60, 48, "plumb_bob", 5)
