@@ -491,6 +491,34 @@ FAULTS = (
         "np.where(directions[..., 2:] != 0, directions[..., 2:], np.nan)",
         (_FORMULAS, "-k", "lenses"),
     ),
+    Fault(
+        "rows' focal length for columns' in what reprojects a disparity",
+        "lfgpu/calibration/parallel.py",
+        "[0, 1 / fy, 0, -cy / fy]",
+        "[0, 1 / fx, 0, -cy / fx]",
+        ("tests/calibration/test_scene_export.py", "-k", "ros"),
+    ),
+    Fault(
+        "the place of a rig that is not turned into its camera",
+        "lfgpu/calibration/formats/colmap_frames.py",
+        "turn @ away + shift",
+        "away + shift",
+        ("tests/calibration/test_calibration_formats.py", "-k", "older_than"),
+    ),
+    Fault(
+        "the depth forgotten at which cameras off their plane are corrected",
+        "lfgpu/calibration/rectifiers.py",
+        'float(values["corrected_at"])',
+        'float("inf")',
+        ("tests/calibration/test_rectifier.py", "-k", "wrote"),
+    ),
+    Fault(
+        "vignetting by the place in the rectified picture",
+        "lfgpu/calibration/rectifiers.py",
+        "squared_radius_at(at, lf.size)",
+        "squared_radius_at(grid, lf.size)",
+        ("tests/calibration/test_rectifier.py", "-k", "wrote"),
+    ),
 )
 
 

@@ -127,13 +127,16 @@ def test_images_of_a_colmap_model_that_are_older_than_its_frames(binary: bool, t
             ]
             (tmp_path / "frames.bin").write_bytes(struct.pack("<Q", len(cameras)) + b"".join(frames))
             return
-        rows = [f"{n + 1} 1 CAMERA {n + 1}" for n in range(len(cameras))]
-        (tmp_path / "rigs.txt").write_text("# rigs\n" + "\n".join(rows))
-        lines = []
-        for n, pose in enumerate(poses):
-            numbers = " ".join(repr(float(v)) for v in (*pose[:6], pose[6] + moved))
-            lines.append(f"{n + 1} {n + 1} {numbers} 1 CAMERA {n + 1} {n + first}")
-        (tmp_path / "frames.txt").write_text("# frames\n" + "\n".join(lines))
+        outer, away = np.asarray(cameras[3].rotation), np.asarray(cameras[3].translation)
+        sensors = ["1 4 CAMERA 4"]  # one rig, whose frame is that of its last camera
+        for n, camera in enumerate(cameras[:3], 1):
+            turn = np.asarray(camera.rotation) @ outer.T
+            numbers = (*quaternion(turn), *(np.asarray(camera.translation) - turn @ away))
+            sensors.append(f"CAMERA {n} 1 {' '.join(repr(float(v)) for v in numbers)}")
+        (tmp_path / "rigs.txt").write_text("# rigs\n" + " ".join(sensors))
+        numbers = " ".join(repr(float(v)) for v in (*poses[3][:6], poses[3][6] + moved))
+        images = " ".join(f"CAMERA {n + 1} {n + first}" for n in range(4))
+        (tmp_path / "frames.txt").write_text(f"# frames\n1 1 {numbers} 4 {images}")
 
     write(0.0)
     _same(cameras, read_calibration(tmp_path).cameras)

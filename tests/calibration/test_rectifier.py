@@ -74,13 +74,20 @@ def test_frames_are_rectified_as_rectify_does_it() -> None:
 @pytest.mark.parametrize("calibrated", [True, False], ids=["calibration", "refined"])
 def test_what_rectify_wrote_is_a_rectifier(calibrated: bool, tmp_path: Path) -> None:
     made = rectified()
-    if not calibrated:
-        assert made.refinement is not None
+    assert made.rig is not None
+    assert made.refinement is not None
+    if calibrated:  # cameras off their plane
+        made = replace(made, rig=replace(made.rig, ahead=np.linspace(-0.1, 0.1, 9), corrected_at=5.0))
+    else:
         turned = np.tile(np.eye(3), (9, 1, 1))
         turned[:, 0, 2] = np.arange(9)
         made = replace(made, rig=None, refinement=replace(made.refinement, homographies=turned))
     write_rectified(made, tmp_path / "out")
     found, want = read_rectifier(tmp_path / "out"), made.rectifier()
+    if not calibrated:  # brightness falls off with the distance from the middle of the picture as it was recorded
+        y, x = np.mgrid[:96, :112]
+        from_middle = (x + 8 - 111 / 2) ** 2 + (y - 95 / 2) ** 2
+        np.testing.assert_allclose(want.squared_radius[8], from_middle / (56**2 + 48**2), rtol=0, atol=1e-6)
     np.testing.assert_allclose(found.places, want.places, rtol=0, atol=1e-4)
     np.testing.assert_allclose(found.tones, want.tones, rtol=1e-9)
     np.testing.assert_allclose(found.squared_radius, want.squared_radius, rtol=0, atol=1e-6)
