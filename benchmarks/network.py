@@ -17,7 +17,7 @@ from lfgpu._backends import open_device
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
-from lfgpu.methods.matching.learned import Network, Weights
+from lfgpu.methods.matching.learned import Network, Weights, layers
 
 WIDTHS = 24, 40, 56, 72
 """Channels of the network that `lfgpu.training` trains."""
@@ -30,19 +30,8 @@ _STEP = 0.2  # pixels per view step, between disparities
 
 def random_weights(rng: np.random.Generator, widths: tuple[int, int, int, int] = WIDTHS) -> Weights:
     """Draw weights as large as those of a network whose training begins, but for logits that differ more."""
-    c0, c1, c2, c3 = widths
-    whole, flat, pixel = (3, 3, 3), (1, 3, 3), (1, 1, 1)
-    shapes = {"sectors.0": (pixel, 64, 2 * c0), "sectors.2": (pixel, 2 * c0, c0)}
-    shapes |= {"image.0": (flat, 16, c0), "image.2": (flat, c0, c0), "level0": (whole, c0, c0)}
-    for level, (above, here) in enumerate(((c0, c1), (c1, c2), (c2, c3), (c3, c3)), 1):
-        shapes |= {
-            f"level{level}.0": (whole if level < 4 else flat, above, here),
-            f"level{level}.1": (whole, here, here),
-        }
-        shapes |= {f"merge{level - 1}.coarse": (pixel, here, above), f"merge{level - 1}.fine": (pixel, above, above)}
-        shapes |= {f"back{level - 1}": (whole, above, above)}
     weights = {}
-    for name, (window, inputs, outputs) in (shapes | {"logits": (whole, c0, 4)}).items():
+    for name, (window, inputs, outputs) in layers(widths).items():
         size = (5 if name == "logits" else 1.4) / np.sqrt(inputs * np.prod(window))
         weights[f"{name}.weight"] = (size * rng.normal(size=(*window, inputs, outputs))).astype(np.float32)
         weights[f"{name}.bias"] = (0.1 * rng.normal(size=outputs)).astype(np.float32)

@@ -95,7 +95,8 @@ class Tuning:
 class Config:
     """All parameters of one method. This is the base class, without parameters, of `MatchingConfig` and the others.
 
-    The fields of a derived class are sections, and at most one `Tuning`. A parameter is named `section.parameter`.
+    The fields of a derived class are sections, at most one `Tuning`, and names of files. A parameter is named
+    `section.parameter`.
     """
 
     method: ClassVar[str] = ""
@@ -203,10 +204,11 @@ def value_of(config: Config, name: str) -> Any:
 
 
 def as_dict(config: Config) -> dict[str, Any]:
-    """Return the parameters as plain values: the names of method and `Tuning`, and a dictionary per section."""
+    """Return the parameters as plain values: a dictionary per section, and the names of method, `Tuning` and file."""
     plain = {name: dataclasses.asdict(section) for name, section in sections(config)}
     held = {f.name: getattr(config, f.name) for f in dataclasses.fields(config)}
-    return {"method": config.method, **plain, **{k: v.name for k, v in held.items() if isinstance(v, Tuning)}}
+    named = {name: value.name if isinstance(value, Tuning) else value for name, value in held.items()}
+    return {"method": config.method, **plain, **{k: str(v) for k, v in named.items() if isinstance(v, str) and v}}
 
 
 def restored(values: Mapping[str, Any], presets: Mapping[str, Config]) -> Config:
@@ -243,5 +245,6 @@ def restored(values: Mapping[str, Any], presets: Mapping[str, Config]) -> Config
         for name, value in (part.items() if isinstance(part, Mapping) else [("", part)])
     }
     nearest = max(presets.values(), key=lambda config: sum(stored.get(name) == value for name, value in own(config)))
-    there = dict(parameters(nearest))
+    there, files = dict(parameters(nearest)), [f.name for f in dataclasses.fields(nearest) if f.default == ""]
+    nearest = dataclasses.replace(nearest, **{name: str(stored[name]) for name in files if name in stored})
     return nearest.with_values({name: value for name, value in stored.items() if name in there})

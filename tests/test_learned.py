@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import json
+import pickle
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import lfgpu
 
 from benchmarks.network import random_weights
-from lfgpu import DepthPipeline, DepthStream, LightField, _backends, estimate_depth, evaluate, scenes
+from lfgpu import DepthPipeline, DepthStream, LightField, _backends, estimate_depth, evaluate, load, scenes
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
+from lfgpu.io import write_hci
 from lfgpu.methods import PRESETS
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.dry_run import DryArray, DryKernels
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.learned import Network, Weights, read_weights
+from lfgpu.methods.matching.learned import BUILT_IN, VERSION, Network, Weights, read_weights
+from lfgpu.pipelines.export import export_pipeline
 
 WIDTHS = 8, 16, 8, 24
 SIZE, COUNT, STEP = (45, 37), 12, 0.25
@@ -122,23 +127,82 @@ def test_memory_is_what_a_dry_run_counts(stored: type, rng: np.random.Generator)
     assert dry.bytes == there + kept
 
 
-def test_what_is_no_file_of_weights_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(LightFieldError, match="cannot be read as a file of weights"):
-        read_weights(tmp_path / "none.npz")
-    (tmp_path / "text.npz").write_text("text")
-    with pytest.raises(LightFieldError, match="cannot be read as a file of weights"):
-        read_weights(tmp_path / "text.npz")
-    np.savez(tmp_path / "other.npz", a=np.zeros(3))
-    with pytest.raises(LightFieldError, match="holds no weights of a network"):
-        read_weights(tmp_path / "other.npz")
-
-
-def test_weights_are_read_as_they_were_written(tmp_path: Path, rng: np.random.Generator) -> None:
+@pytest.fixture
+def written(tmp_path: Path, rng: np.random.Generator) -> tuple[Path, dict[str, np.ndarray]]:
+    """A file of weights, and its content."""
     weights = random_weights(rng, WIDTHS) | {"share": np.ones(4, np.float32), "spread": np.ones(3, np.float32)}
-    np.savez(tmp_path / "weights.npz", **weights)
-    read = read_weights(tmp_path / "weights.npz")
+    np.savez(tmp_path / "weights.npz", **weights, version=VERSION)
+    return tmp_path / "weights.npz", weights
+
+
+def test_what_is_no_file_of_weights_is_refused(
+    tmp_path: Path, written: tuple[Path, dict[str, np.ndarray]], scene: LightField
+) -> None:
+    def refusal(content: object) -> str:
+        path = tmp_path / "wrong.npz"
+        if isinstance(content, str):
+            path.write_text(content)
+        elif content is not None:
+            np.savez(path, **content)
+        shown = lfgpu("depth", tmp_path, "-o", tmp_path / "out", "--weights", path)
+        with pytest.raises(LightFieldError) as refused:
+            estimate_depth(scene, weights=path)
+        assert shown.code == 1
+        assert shown.err == f"lfgpu: {refused.value}\n"
+        return shown.err
+
+    weights = written[1]
+    bias = weights["level1.0.bias"]
+    for content, sentence in (
+        (None, "it does not exist"),
+        ("text", "it is damaged, or another kind of file"),
+        ({"a": np.zeros(3)}, "holds no weights of a network"),
+        ({"level0.weight": np.array(["a"])}, "another kind of file"),
+        (weights | {"version": VERSION + 1}, f"version {VERSION + 1}, but this lfgpu uses version {VERSION}"),
+        ({name: values for name, values in weights.items() if name != "share"}, "share is missing"),
+        (weights | {"level1.0.bias": bias[1:]}, "level1.0.bias has shape [15], not [16]"),
+        (weights | {"level1.0.bias": np.nan * bias}, "level1.0.bias holds NaN or infinity"),
+        ({name: values for name, values in weights.items() if "back3" not in name}, "does not fit the network"),
+    ):
+        assert sentence in refusal(content)
+
+
+def test_weights_are_read_as_they_were_written(written: tuple[Path, dict[str, np.ndarray]]) -> None:
+    path, weights = written
+    read = read_weights(path)
     assert set(read) == set(weights)
     assert all(np.array_equal(read[name], weights[name]) for name in weights)
+
+
+def test_weights_of_a_file_are_used_recorded_and_exported(
+    written: tuple[Path, dict[str, np.ndarray]], scene: LightField, tmp_path: Path
+) -> None:
+    """On all ways: Python, the command line, pipelines, batch's workers, C++; and a result says which they were."""
+    path = written[0]
+    options = {"disparity_range": RANGE, "check_cameras": False}
+    theirs, ours = (estimate_depth(scene, weights=file, **options) for file in (path, BUILT_IN))
+    assert not np.allclose(theirs.disparity, ours.disparity, atol=0.1)
+    built_in = estimate_depth(scene, config="learned", **options)
+    np.testing.assert_array_equal(ours.disparity, built_in.disparity)
+    pipeline = DepthPipeline(scene, config="learned", weights=path, disparity_range=RANGE)
+    np.testing.assert_array_equal(pipeline.estimate().disparity, theirs.disparity)
+    assert len({theirs.config, ours.config, built_in.config}) == 3  # plans of one are no plans of the others
+    assert pickle.loads(pickle.dumps(theirs.config)).weights.weights.keys() == written[1].keys()
+    write_hci(scene, tmp_path / "scene")
+    arguments = "--weights", path, "--disparity-range", f"{RANGE[0]},{RANGE[1]}"
+    assert lfgpu("depth", tmp_path / "scene", "-o", tmp_path / "out", *arguments).code == 0
+    kept = load(tmp_path / "out")
+    np.testing.assert_array_equal(kept.disparity, theirs.disparity)
+    assert kept.config == theirs.config
+    assert kept.config.weights.startswith("weights.npz (SHA-256 ")
+    with pytest.raises(LightFieldError, match="a result does not hold them"):
+        estimate_depth(scene, config=kept.config, **options)
+    export_pipeline(scene, tmp_path / "cpp", config=theirs.config, disparity_range=RANGE)
+    about = json.loads((tmp_path / "cpp" / "pipeline.json").read_text())
+    assert about["config"]["weights"] == theirs.config.weights
+    for config in ("fast", "paper"):
+        with pytest.raises(LightFieldError, match="only the preset learned has"):
+            estimate_depth(scene, config=config, weights=path)
 
 
 RANGE = (-1.4, 1.4)

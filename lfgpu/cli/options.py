@@ -170,6 +170,14 @@ class Parameters:
     """Options that choose the parameters of a method."""
 
     preset: Preset = "accurate"
+    weights: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Weights that `lfgpu train` wrote, for the network of the preset learned.",
+            show_default="those of lfgpu",
+        ),
+    ] = None
     settings: Annotated[
         list[str] | None,
         typer.Option(
@@ -181,7 +189,7 @@ class Parameters:
 
     def config(self) -> Config:
         """Return the parameters; LightFieldError if one is wrong or unknown."""
-        return values.configured(self.preset, self.settings or ())
+        return values.configured(self.preset, self.settings or (), self.weights)
 
 
 @dataclass(frozen=True)

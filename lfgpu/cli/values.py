@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from lfgpu.config import Config
 
 
@@ -102,11 +104,11 @@ def use_threads(option: str, count: int | None) -> None:
     set_threads(count)
 
 
-def configured(preset_name: str, settings: Sequence[str]) -> Config:
-    """Apply settings `stage.parameter=value` to a preset; LightFieldError if one is wrong or unknown."""
-    from lfgpu.methods import preset
+def configured(preset_name: str, settings: Sequence[str], weights: Path | None = None) -> Config:
+    """Apply settings `stage.parameter=value` and weights to a preset; LightFieldError if one is wrong or unknown."""
+    from lfgpu import methods
 
-    config = preset(preset_name)
+    config = methods.configured(preset_name, weights)
     for setting in settings:
         name, equals, value = setting.partition("=")
         if not equals:

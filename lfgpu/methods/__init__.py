@@ -6,6 +6,8 @@
 from __future__ import annotations
 
 import importlib
+import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from lfgpu.config import Config, parameters, value_of
@@ -62,14 +64,30 @@ def preset(name: str) -> Config:
     return PRESETS[name]
 
 
-def configured(config: Config | str) -> Config:
-    """Return the parameters that `config` is or names; raise LightFieldError if it is neither."""
+def configured(config: Config | str, weights: str | os.PathLike[str] | None = None) -> Config:
+    """Return the parameters that `config` is or names, with the weights of a file of `lfgpu train`.
+
+    With weights, the default preset stands for "learned".
+
+    Raises
+    ------
+    LightFieldError
+        If `config` is neither, if the file holds no weights, or if `config` has no network.
+    """
+    if weights is not None and config == next(iter(PRESETS)):
+        config = "learned"
     found = preset(config) if isinstance(config, str) else config
     if not isinstance(found, Config):
         raise LightFieldError(
             f"config must be the name of a preset ({', '.join(PRESETS)}) or a Config, not {type(config).__name__}."
         )
-    return found
+    if weights is None:
+        return found
+    if not isinstance(found, _matching.MatchingConfig) or found.tuning.passes != "learned":
+        raise LightFieldError("weights are for a network, which only the preset learned has; leave out the preset.")
+    from lfgpu.methods.matching.learned import weights_file
+
+    return replace(found, weights=weights_file(weights))
 
 
 def nearest_preset(config: Config) -> tuple[str, frozenset[str]]:

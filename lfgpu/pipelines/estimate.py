@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+
 from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField, check_light_field
@@ -17,6 +19,7 @@ def estimate_depth(
     lf: LightField,
     *,
     config: Config | PresetName = "accurate",
+    weights: str | os.PathLike[str] | None = None,
     disparity_range: tuple[float, float] | None = None,
     backend: BackendName = DEFAULT,
     device: str | None = None,
@@ -36,7 +39,10 @@ def estimate_depth(
     lf
         The light field; the map is that of its reference view.
     config
-        All parameters, or the name of a preset: "accurate" (default), "fast" or "paper".
+        All parameters, or the name of a preset: "accurate" (default), "fast", "learned" or "paper".
+    weights
+        A file that `lfgpu train` wrote: the weights of the network. Then the default preset is "learned". Default None:
+        the weights that lfgpu comes with.
     disparity_range
         (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views.
     backend
@@ -69,7 +75,7 @@ def estimate_depth(
     Raises
     ------
     LightFieldError
-        If the range or a parameter is wrong, or if the views show too little to estimate anything.
+        If the range, a parameter or the file of weights is wrong, or if the views show too little to estimate anything.
     BackendError
         If the backend or the device is missing, or if `deterministic` is set and the backend is not.
 
@@ -83,7 +89,7 @@ def estimate_depth(
     if max_memory is not None:
         result = estimate_in_tiles(
             lf,
-            config=configured(config),
+            config=configured(config, weights),
             disparity_range=disparity_range,
             backend=backend,
             device=device,
@@ -94,7 +100,7 @@ def estimate_depth(
     else:
         pipeline = DepthPipeline(
             lf,
-            config=config,
+            config=configured(config, weights),
             disparity_range=disparity_range,
             backend=backend,
             device=device,

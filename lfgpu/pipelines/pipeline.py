@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from time import perf_counter
@@ -50,7 +51,7 @@ class DepthPipeline:
         Gives the cameras, size, stored type, masks and reference view. Its views are the first input. The noise, and
         the disparity range if it is not given, are measured on them. The first `estimate` confirms that range; before
         `run`, `confirm_range` does.
-    config, disparity_range, backend, device, deterministic
+    config, weights, disparity_range, backend, device, deterministic
         As for `estimate_depth`.
     measured
         The disparity range and the noise, if they were measured before; then `disparity_range` is not used. Default
@@ -79,6 +80,7 @@ class DepthPipeline:
         lf: LightField,
         *,
         config: Config | PresetName = "accurate",
+        weights: str | os.PathLike[str] | None = None,
         disparity_range: tuple[float, float] | None = None,
         backend: BackendName = DEFAULT,
         device: str | None = None,
@@ -87,7 +89,8 @@ class DepthPipeline:
         rectifier: Rectifier | None = None,
     ) -> None:
         check_light_field(lf)
-        self.method, self.config = method_of(config), configured(config)
+        self.config = configured(config, weights)
+        self.method = method_of(self.config)
         self._device = place = open_device(backend, device)
         self.kernels, self.device = place.kernels, place.name
         if deterministic and not self.kernels.is_deterministic(self.device):

@@ -113,7 +113,9 @@ def preset(config: Config) -> str:
     from lfgpu.methods import nearest_preset
 
     name, different = nearest_preset(config)
-    return name if not different else f"{name} with {len(different)} parameter{'s' * (len(different) > 1)} changed"
+    changed = f" with {len(different)} parameter{'s' * (len(different) > 1)} changed" if different else ""
+    weights = getattr(config, "weights", "")
+    return f"{name}{changed}{f', weights {weights}' if weights else ''}"
 
 
 def device(name: str, product: str | None) -> str:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cache
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -14,7 +12,7 @@ from lfgpu.methods.matching.base import Aggregation, Swept
 from lfgpu.methods.matching.costs import noise_cost
 from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.methods.matching.frame import SweptViews
-from lfgpu.methods.matching.learned import Network, Weights, read_weights
+from lfgpu.methods.matching.learned import Network, weights_of
 
 _RIGHT = 0.07  # pixels per view step: the confidence is the probability of smaller errors
 
@@ -101,7 +99,7 @@ class Learned(Aggregation):
         frame, layout = views.frame, views.layout
         disparities = padded_disparities(frame.bounds, layout.farthest, frame.config.sweep)
         self._kernels, self._step = frame.kernels, disparities.step
-        self._weights = built_in_weights()
+        self._weights = weights_of(frame.config.weights)
         with frame.arena.scratch() as scratch:
             self._probability, self._deviation = scratch.fields(2, frame.size)
             self._network = Network(frame.arena, self._weights, layout, disparities.count)
@@ -132,12 +130,6 @@ class Learned(Aggregation):
             confidence_out=self.confidence,
             variance_out=self.variance,
         )
-
-
-@cache
-def built_in_weights() -> Weights:
-    """Read the weights that lfgpu comes with."""
-    return read_weights(Path(__file__).with_name("weights.npz"))
 
 
 AGGREGATIONS: Mapping[str, Callable[[SweptViews], Aggregation]] = {

@@ -118,6 +118,8 @@ class MatchingConfig(Config):
     boundaries: BoundariesConfig = BoundariesConfig()
     hole_filling: HoleFillingConfig = HoleFillingConfig()
     tuning: MatchingTuning = tuning.ACCURATE
+    weights: str = ""
+    """The weights of the network, a `WeightsFile`; "" for those that lfgpu comes with."""
 
     def with_tuning(self, values: Mapping[str, Any]) -> Self:
         """Return a copy with some numbers of the tuning changed, for experiments: files do not keep these.

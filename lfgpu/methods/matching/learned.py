@@ -6,9 +6,12 @@ weights.
 
 from __future__ import annotations
 
+import os
 import re
 import zipfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from functools import cache
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -28,31 +31,109 @@ PIXELS, DISPARITIES = 16 * FOLD, 4
 NETWORK_REACH = 5 * PIXELS
 """Pixels on each side of a pixel on which its disparity depends."""
 
+Shape = tuple[int, ...]
+
 Weights = Mapping[str, Float32Array]
 """Weights [l, y, x, c_in, c_out] of each convolution as "NAME.weight", and its bias [c_out] as "NAME.bias".
 
 `share` [4] and `spread` [3] are those of `KernelSet.judge_peak`.
 """
 
-Shape = tuple[int, ...]
+VERSION = 1
+"""Version of files of weights: another one where the same numbers mean something else."""
+
+_TRUST = {"share": (4,), "spread": (3,)}
 
 
-def read_weights(path: str | Path) -> Weights:
+class WeightsFile(str):
+    """Name and hash of a file of weights, which stand for it among parameters, with the weights themselves."""
+
+    weights: Weights
+
+
+def weights_file(path: str | os.PathLike[str]) -> WeightsFile:
+    """Read a file of weights, to be one of the parameters; LightFieldError as `read_weights`."""
+    weights = read_weights(path)
+    found = WeightsFile(f"{Path(path).name} (SHA-256 {sha256(Path(path).read_bytes()).hexdigest()[:16]})")
+    found.weights = weights
+    return found
+
+
+def weights_of(name: str) -> Weights:
+    """Return the weights that parameters name; LightFieldError if they are only a name, read from a result."""
+    if not name:
+        return _built_in()
+    if not isinstance(name, WeightsFile):
+        raise LightFieldError(
+            f"these parameters name the weights {name}, but a result does not hold them; give the file as weights."
+        )
+    return name.weights
+
+
+@cache
+def _built_in() -> Weights:
+    """Read the weights that lfgpu comes with."""
+    return read_weights(BUILT_IN)
+
+
+BUILT_IN = Path(__file__).with_name("weights.npz")
+"""The file of the weights that lfgpu comes with."""
+
+
+def read_weights(path: str | os.PathLike[str]) -> Weights:
     """Read the weights of a network from a file of `lfgpu train`, .npz.
 
     Raises
     ------
     LightFieldError
-        If it is no such file.
+        If it is no such file, or one of another version or another network.
     """
     try:
         with np.load(path) as file:
             weights = {name: file[name].astype(np.float32) for name in file.files}
-    except (OSError, ValueError, zipfile.BadZipFile) as error:
-        raise LightFieldError(f"{path} cannot be read as a file of weights (.npz): {error}.") from error
-    if not {"level0.weight", "logits.weight", "share", "spread"} <= set(weights):
+    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        reason = "it does not exist" if not Path(path).exists() else "it is damaged, or another kind of file"
+        raise LightFieldError(f"{path} cannot be read as a file of weights (.npz): {reason}.") from error
+    version = float(weights.pop("version", VERSION))
+    if version != VERSION:
+        raise LightFieldError(
+            f"{path} holds weights of version {version:g}, but this lfgpu uses version {VERSION}; train them again."
+        )
+    widths = [len(weights.get(f"back{level}.bias", ())) for level in range(_LEVELS - 1)]
+    expected = _TRUST | {
+        f"{name}.{part}": shape
+        for name, (window, inputs, outputs) in layers(widths).items()
+        for part, shape in (("weight", (*window, inputs, outputs)), ("bias", (outputs,)))
+    }
+    if not set(expected) & set(weights):
         raise LightFieldError(f"{path} holds no weights of a network: it was not written by lfgpu train.")
-    return weights
+    for name, shape in expected.items():
+        found = weights[name].shape if name in weights else None
+        if found != shape or not np.isfinite(weights[name]).all():
+            is_there = "is missing" if found is None else f"has shape {list(found)}, not {list(shape)}"
+            is_there = "holds NaN or infinity" if found == shape else is_there
+            raise LightFieldError(f"{path} does not fit the network of this lfgpu: {name} {is_there}; train again.")
+    return {name: weights[name] for name in expected}
+
+
+def layers(widths: Sequence[int]) -> dict[str, tuple[Shape, int, int]]:
+    """List the convolutions of a network with these channels at each resolution: window, and channels in and out."""
+    c0, c1, c2, c3 = widths
+    whole, flat, pixel = (3, 3, 3), (1, 3, 3), (1, 1, 1)
+    found: dict[str, tuple[Shape, int, int]] = {
+        "sectors.0": (pixel, COSTS * FOLD**2, 2 * c0),
+        "sectors.2": (pixel, 2 * c0, c0),
+        "image.0": (flat, 4 * FOLD**2, c0),
+        "image.2": (flat, c0, c0),
+        "level0": (whole, c0, c0),
+    }
+    for level, (above, here) in enumerate(((c0, c1), (c1, c2), (c2, c3), (c3, c3)), 1):
+        found[f"level{level}.0"] = (whole if level < 4 else flat, above, here)
+        found[f"level{level}.1"] = (whole, here, here)
+        found[f"merge{level - 1}.coarse"] = (pixel, here, above)
+        found[f"merge{level - 1}.fine"] = (pixel, above, above)
+        found[f"back{level - 1}"] = (whole, above, above)
+    return found | {"logits": (whole, c0, FOLD**2)}
 
 
 class Network:
