@@ -3,34 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from importlib import import_module
 
 import typer
 
-from benchmarks import (
-    ablation,
-    batches,
-    compare,
-    confidence,
-    figures,
-    flicker,
-    gallery,
-    gpu_parity,
-    judge,
-    live,
-    measuring,
-    misalignment,
-    network,
-    paper,
-    population,
-    rectify,
-    rendering,
-    runs,
-    scaling,
-    soak,
-    suite,
-    tile_differences,
-    tiles,
-)
+from benchmarks import suite
 from lfgpu.cli.failures import Group
 
 app = typer.Typer(
@@ -41,35 +18,20 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
+_MODULES = {"accuracy": "population", "range": "measuring", "table": "runs"}
+"""The modules of commands that are not named like theirs."""
+
 COMMANDS: dict[str, Callable[..., None]] = {
-    # errors of maps
-    "accuracy": population.command,
-    "ablation": ablation.command,
-    "confidence": confidence.command,
-    "paper": paper.command,
-    "rendering": rendering.command,
-    "tile-differences": tile_differences.command,
-    # cameras
-    "misalignment": misalignment.command,
-    "judge": judge.command,
-    "rectify": rectify.command,
-    # many light fields, and large ones
-    "range": measuring.command,
-    "scaling": scaling.command,
-    "batches": batches.command,
-    "tiles": tiles.command,
-    # streams
-    "live": live.command,
-    "flicker": flicker.command,
-    "soak": soak.command,
-    # parts of an estimate
-    "network": network.command,
-    # files of results, and pages
-    "table": runs.command,
-    "compare": compare.command,
-    "figures": figures.command,
-    "gallery": gallery.command,
-    "gpu-parity": gpu_parity.command,
+    name: import_module(f"benchmarks.{_MODULES.get(name, name.replace('-', '_'))}").command
+    for names in (
+        "accuracy ablation confidence like paper rendering tile-differences",  # errors of maps
+        "misalignment judge rectify",  # cameras
+        "range scaling batches tiles",  # many light fields, and large ones
+        "live flicker soak",  # streams
+        "network",  # parts of an estimate
+        "table compare figures gallery gpu-parity",  # files of results, and pages
+    )
+    for name in names.split()
 }
 
 app.callback(invoke_without_command=True)(suite.measure)

@@ -10,20 +10,21 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 
-from benchmarks import cases, clock, drawn, error_sheet, results, runs, scoring
-from benchmarks.error_sheet import Picture
+from benchmarks import cases, clock, drawn, results, runs, scoring
 from benchmarks.errors import BenchmarkError
 from benchmarks.options import Out, Presets, check_known, check_out, listed, say
 from benchmarks.results import Record, Run
 from benchmarks.runs import FOUND, RANGES
-from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
+from lfgpu import LightField, estimate_depth, evaluate, read, scenes
+from lfgpu.comparison import Scene
+from lfgpu.config import Config
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.errors import LfgpuError
+from lfgpu.io import atomic_write
 from lfgpu.methods import preset as named_preset
-from lfgpu.metrics import BORDER, sparsification
-from lfgpu.viz.panels import rgb
+from lfgpu.metrics import sparsification
+from lfgpu.viz.sheets import comparison
 
 KIND = "accuracy"
 BASELINE = results.FOLDER / "accuracy-0.1.json"
@@ -66,10 +67,11 @@ def command(
     check_known(listed(ranges), "range", RANGES)
     check_out(out, sheet)
     old = results.load(baseline) if baseline != BASELINE or baseline.exists() else None
-    pictures: list[Picture] = []
-    found = run(sources, listed(presets), listed(ranges), pictures.append)
+    pictures: list[Scene] = []
+    found = run(sources, {name: named_preset(name) for name in listed(presets)}, listed(ranges), pictures.append)
     if sheet is not None and pictures:
-        error_sheet.write(pictures, sheet)
+        with atomic_write(sheet) as temporary:
+            comparison(pictures).save(temporary, format="png")
     runs.finish(found, out)
     if old is not None:
         runs.against(found, old).show()
@@ -85,9 +87,12 @@ def made(name: str) -> Source:
 
 
 def run(
-    sources: Mapping[str, Source], presets: Sequence[str], ranges: Sequence[str], draw: Callable[[Picture], None]
+    sources: Mapping[str, Source],
+    configs: Mapping[str, Config],
+    ranges: Sequence[str],
+    draw: Callable[[Scene], object] = lambda _: None,
 ) -> Run:
-    """Estimate each light field with each preset and range; `draw` is given the error of each map.
+    """Estimate each light field with each configuration and range; `draw` is given each scene with its maps.
 
     An estimate that fails is a record that says why.
     """
@@ -100,28 +105,29 @@ def run(
         except LfgpuError as error:
             records.append(Record(KIND, "", "", scene, "all presets", failed=str(error)))
             continue
-        for preset in presets:
-            scoring.load_kernels(named_preset(preset))
+        scored = truth.disparity if truth.mask is None else np.where(truth.mask, truth.disparity, np.float32(np.nan))
+        picture = Scene(scene, lf.image(lf.reference_index), scored)
+        for preset, config in configs.items():
+            scoring.load_kernels(config)
             for given in ranges:
                 say(f"{scene}: {preset}, range {given}")
-                record, picture = _measured(scene, lf, truth, preset, given)
-                records.append(record)
-                if picture is not None:
-                    draw(picture)
+                records.append(_measured(picture, lf, truth, preset, config, given))
+        draw(picture)
     return replace(begun, records=records)
 
 
-def _measured(scene: str, lf: LightField, truth: GroundTruth, preset: str, given: str) -> tuple[Record, Picture | None]:
-    name, (low, high) = f"{preset}, range {given}", scoring.true_range(lf, margin=0)
+def _measured(picture: Scene, lf: LightField, truth: GroundTruth, preset: str, config: Config, given: str) -> Record:
+    scene, name, (low, high) = picture.name, f"{preset}, range {given}", scoring.true_range(lf, margin=0)
     bounds = None if given == FOUND else scoring.true_range(lf)
     try:
-        result = estimate_depth(lf, config=named_preset(preset), disparity_range=bounds)
+        result = estimate_depth(lf, config=config, disparity_range=bounds)
     except LfgpuError as error:
-        return Record(KIND, "", "", scene, name, failed=str(error)), None
+        return Record(KIND, "", "", scene, name, failed=str(error))
+    picture.maps[name] = result.disparity
     metrics = evaluate(result.disparity, truth.disparity, mask=truth.mask)
     curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)
     first, last = result.disparity_range
-    record = Record(
+    return Record(
         KIND,
         result.backend,
         result.device,
@@ -132,14 +138,3 @@ def _measured(scene: str, lf: LightField, truth: GroundTruth, preset: str, given
         compared=f"truth of the data set, {metrics.count} pixels",
         details={"preset": preset, "range": given, "searched": [first, last], "true": [low, high]},
     )
-    view = rgb(lf.views[lf.reference_index], lf.scale)
-    return record, Picture(scene, name, view, _scored_error(result, truth), metrics.badpix_07)
-
-
-def _scored_error(result: DepthResult, truth: GroundTruth) -> NDArray[np.float32]:
-    error = np.full(result.disparity.shape, np.nan, np.float32)
-    inside = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    error[inside] = (result.disparity - truth.disparity)[inside]
-    if truth.mask is not None:
-        error[~truth.mask] = np.nan
-    return error

@@ -21,6 +21,7 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
     "flicker": _STREAMS,
     "gpu_parity": ("kernels", "lfgpu/contract", "lfgpu/methods", "lfgpu/solvers", "tests/kernels"),
     "judge": _CAMERAS,
+    "like": (*_MAPS, "lfgpu/scenes", "lfgpu/training"),
     "live": _STREAMS,
     "measuring": (*_MAPS, "lfgpu/pipelines/estimate.py"),
     "misalignment": (*_CAMERAS, *_MAPS),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu
+from command_line import lfgpu, refused
 
 from benchmarks.network import random_weights
 from lfgpu import DepthPipeline, DepthStream, LightField, _backends, estimate_depth, evaluate, load, scenes
@@ -265,3 +265,12 @@ def test_the_map_of_the_network_weighs_more_where_it_is_surer(scene: LightField)
         result = estimate_depth(scene, config=config.with_tuning({"alignment.matched": weight}), disparity_range=RANGE)
         moved.append(float(np.abs(result.stages["align"] - result.stages["sweep"]).mean()))
     assert moved[0] > 1.2 * moved[1] > 3 * moved[2]
+
+
+def test_training_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    refused(
+        lfgpu("train", "-o", tmp_path / "weights.npz"), "lfgpu train needs PyTorch, which is not installed; install"
+    )
+    refused(lfgpu("train", "-o", tmp_path / "weights.pt"), "weights.pt must end in .npz")
+    refused(lfgpu("train", "-o", tmp_path / "weights.npz", "--side", 50), "--side must be a multiple of 32, not 50")

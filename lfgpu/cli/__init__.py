@@ -31,6 +31,7 @@ from lfgpu.cli import (
     rectify,
     render,
     scene,
+    train,
     view,
 )
 from lfgpu.cli.failures import Group
@@ -64,6 +65,7 @@ _TASKS: dict[str, dict[str, tuple[Callable[..., Any], str]]] = {
         "depth": (depth.depth, "lfgpu depth my/light/field -o out"),
         "batch": (batch.batch, "lfgpu batch recordings -o out"),
         "live": (live.live, "lfgpu live my_rig:frames --preset fast -o maps"),
+        "train": (train.train, "lfgpu train --like my/light/field -o weights.npz"),
         "export": (export.export, "lfgpu export my/light/field -o pipeline --preset fast"),
     },
     "Look and use": {

@@ -114,7 +114,7 @@ def batch(
     lasting: dict[str, Any] = {"retries": retries, "item_timeout": item_timeout}
     device, threads = computing.device, computing.threads
     if scheduler is None:
-        devices = _devices(computing.backend, device)
+        devices = devices_of(computing.backend, device)
         count = workers or len(devices)
         cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), **lasting)
     else:
@@ -154,7 +154,7 @@ def batch(
         raise BatchError(f"{len(summary.failed)} of {len(items)} items failed: {named}{more}.")
 
 
-def _devices(backend: str, device: str | None) -> tuple[str, ...]:
+def devices_of(backend: str, device: str | None) -> tuple[str, ...]:
     """Return the devices of local workers; BackendError if the backend or the device is missing."""
     from lfgpu._backends import load, pick_device
 

@@ -12,9 +12,12 @@ import warp as wp
 from lfgpu.contract import Float64Array
 from lfgpu.training import casting
 from lfgpu.training.arrays import draw_array
+from lfgpu.training.rig import Rig
 from lfgpu.training.scenes import Tables, draw_scenes
 from lfgpu.training.sectors import order_of_sectors, warp_stream
 from lfgpu.training.textures import SIDE, draw_textures
+
+_SAME = 0.05  # of the distance of the farthest view: cameras that are nearer stand in one place
 
 
 @dataclass(frozen=True)
@@ -32,22 +35,31 @@ class Batch:
     starts: list[int]
     margin: int
 
-    def turned(self, rng: np.random.Generator) -> Batch:
-        """Mirror, transpose and recolour the light fields at random: others of the same truth."""
+    def turned(self, rng: np.random.Generator, *, keep: bool = False) -> Batch:
+        """Mirror, transpose and recolour the light fields at random: others of the same truth.
+
+        With `keep`, they are mirrored and transposed only where this leaves the array of cameras as it is.
+        """
         views, reference, truth, offsets = self.views, self.reference, self.truth, self.offsets.copy()
-        if rng.random() < 0.5:
+        if rng.random() < 0.5 and not (keep and _differ(offsets, offsets[:, ::-1])):
             views, reference, truth = views.transpose(2, 3), reference.transpose(1, 2), truth.transpose(1, 2)
             offsets = offsets[:, ::-1]
         for axis in (0, 1):
-            if rng.random() < 0.5:
+            mirrored = offsets * np.where(np.arange(2) == axis, -1.0, 1.0)
+            if rng.random() < 0.5 and not (keep and _differ(offsets, mirrored)):
                 views, reference, truth = views.flip(3 - axis), reference.flip(2 - axis), truth.flip(2 - axis)
-                offsets = offsets * np.where(np.arange(2) == axis, -1.0, 1.0)
+                offsets = mirrored
         colours = torch.tensor(rng.permutation(3), device=views.device)
         order, starts = order_of_sectors(offsets)
         views = views[:, torch.tensor(order, device=views.device)][..., colours]
         return Batch(
             views, reference[..., colours].contiguous(), truth.contiguous(), offsets[order], starts, self.margin
         )
+
+
+def _differ(offsets: Float64Array, others: Float64Array) -> bool:
+    """Say whether two arrays of as many cameras are not the same."""
+    return bool(np.abs(offsets[:, None] - others).max(2).min(1).max() > _SAME)
 
 
 class Generator:
@@ -65,12 +77,23 @@ class Generator:
         Number of textures that scenes choose from, at least 20.
     rays
         Rays of a pixel, each way.
+    rig
+        The cameras that all light fields are of. Default None: cameras of any kind.
     """
 
     margin = 16
 
-    def __init__(self, seed: Sequence[int], device: str, *, side: int = 192, textures: int = 64, rays: int = 2) -> None:
-        self.seed, self.device, self.side, self.rays = seed, device, side, rays
+    def __init__(
+        self,
+        seed: Sequence[int],
+        device: str,
+        *,
+        side: int = 192,
+        textures: int = 64,
+        rays: int = 2,
+        rig: Rig | None = None,
+    ) -> None:
+        self.seed, self.device, self.side, self.rays, self.rig = seed, device, side, rays, rig
         drawn = draw_textures(textures, np.random.default_rng((*seed, 1)))
         self._textures = wp.array(drawn, dtype=wp.vec3f, device=device)
         for index in range(textures // 2, textures):  # pictures of generated scenes are textures, too
@@ -79,14 +102,19 @@ class Generator:
     def draw(self, number: int, scenes: int) -> Batch:
         """Make batch `number` of `scenes` light fields."""
         rng = np.random.default_rng((*self.seed, 2, number))
-        offsets = draw_array(rng)
+        offsets = draw_array(rng) if self.rig is None else self.rig.draw_array(rng)
         order, starts = order_of_sectors(offsets)
         offsets = offsets[order]
-        tables = draw_scenes(scenes, self.side, rng, textures=self._textures.shape[0])
+        limits = None if self.rig is None else self.rig.limits
+        tables = draw_scenes(scenes, self.side, rng, textures=self._textures.shape[0], limits=limits)
         everywhere = np.concatenate([offsets, np.zeros((1, 2))])
         gains = 1 + 0.01 * rng.standard_normal((scenes, len(everywhere))) * (rng.random((scenes, 1)) < 0.25)
         shifts = 0.05 * rng.standard_normal((scenes, len(everywhere), 2)) * (rng.random((scenes, 1, 1)) < 0.2)
         shifts[:, -1] = 0
+        if self.rig is not None:
+            alone = slice(-1, None)
+            seen = self._cast(tables, everywhere[alone], gains[:, alone], shifts[:, alone], 0, self.side, 0)
+            self.rig.expose(tables[2], seen.mean((1, 2, 3, 4)).cpu().numpy(), rng)
         views = self._cast(tables, everywhere, gains, shifts, int(rng.integers(1 << 30)), self.side, self.margin)
         truth = torch.empty((scenes, self.side, self.side), device=self.device)
         with warp_stream(self.device):
@@ -97,6 +125,8 @@ class Generator:
                 outputs=[wp.from_torch(truth)],
                 device=self.device,
             )
+        if self.rig is not None and self.rig.is_grey:
+            views = views.mean(-1, keepdim=True).expand_as(views)
         inside = slice(self.margin, self.margin + self.side)
         return Batch(views[:, :-1], views[:, -1, inside, inside].contiguous(), truth, offsets, starts, self.margin)
 

@@ -92,16 +92,30 @@ class Network(nn.Module):
 _REACH = 2  # disparities on either side of the likeliest one that its mean is over
 
 
-def peak(logits: Tensor, first: Tensor, steps: Tensor) -> Tensor:
-    """Average the disparities around the likeliest one of each pixel, [b, y, x]."""
+def _around(logits: Tensor) -> tuple[Tensor, Tensor]:
+    """Give the disparities around the likeliest one of each pixel, and their logits, [b, 2 _REACH + 1, y, x]."""
     count = logits.shape[1]
     best = logits.argmax(1, keepdim=True)
     around = best + torch.arange(-_REACH, _REACH + 1, device=logits.device)[None, :, None, None]
     inside = (around >= 0) & (around < count)
     around = around.clamp(0, count - 1)
-    near = logits.gather(1, around).masked_fill(~inside, -1e4)
+    return around, logits.gather(1, around).masked_fill(~inside, -1e4)
+
+
+def peak(logits: Tensor, first: Tensor, steps: Tensor) -> Tensor:
+    """Average the disparities around the likeliest one of each pixel, [b, y, x]."""
+    around, near = _around(logits)
     place = (near.softmax(1) * around).sum(1)
     return first + steps[:, None, None] * place
+
+
+def certainty(logits: Tensor) -> tuple[Tensor, Tensor]:
+    """Give the probability of the disparities around the likeliest one, and their deviation in steps, [b, y, x]."""
+    around, near = _around(logits)
+    shares = near.softmax(1)
+    mean = (shares * around).sum(1, keepdim=True)
+    variance = (shares * (around - mean) ** 2).sum(1)
+    return (near.logsumexp(1) - logits.logsumexp(1)).exp(), variance.sqrt()
 
 
 def estimate(

@@ -19,6 +19,9 @@ from lfgpu.training.textures import SMOOTH
 ROOM = 4
 """Primitives of a scene that are its background, floor and walls."""
 
+MOST_SPAN = 40.0
+"""Pixels in the farthest view over which the disparities of a scene are spread, at most."""
+
 _ANGLES = 6.2832
 
 
@@ -59,13 +62,26 @@ Tables = tuple[Table, Table, Table]
 
 
 def draw_scenes(
-    count: int, side: float, rng: np.random.Generator, *, primitives: int = 30, textures: int = 64
+    count: int,
+    side: float,
+    rng: np.random.Generator,
+    *,
+    primitives: int = 30,
+    textures: int = 64,
+    limits: tuple[float, float] | None = None,
 ) -> Tables:
-    """Draw scenes for pictures of about `side` pixels, whose textures are the first `textures` of a set."""
+    """Draw scenes for pictures of about `side` pixels, whose textures are the first `textures` of a set.
+
+    Their disparities lie about within `limits`, pixels in the farthest view; by default in any range.
+    """
     each, one = Draw(rng, (count, primitives)), Draw(rng, (count, 1))
     slots = np.arange(primitives)[None]
-    span = one.scale(1.5, 40.0)
+    span = one.scale(1.5, MOST_SPAN)
     low = np.where(one.often(0.7), -span * one.uniform(0.2, 0.8), one.uniform(-20, 20) - span / 2)
+    if limits is not None:
+        whole = min(limits[1] - limits[0], MOST_SPAN)
+        span = whole * np.where(one.often(0.5), one.uniform(0.85, 1.0), one.uniform(0.3, 1.0))
+        low = limits[0] + (limits[1] - limits[0] - span) * one.uniform()
     shapes = _table(casting.Shape, each.shape)
     looks = _table(casting.Look, each.shape)
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import math
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,12 +16,31 @@ import torch.distributed as dist
 import torch.nn.functional as F  # noqa: N812 - its usual name
 from torch import Tensor
 
+from lfgpu.comparison import Scene
+from lfgpu.contract import Float64Array
+from lfgpu.errors import LightFieldError
+from lfgpu.io import atomic_write
+from lfgpu.methods.matching.learned import Weights
 from lfgpu.training.generator import Batch, Generator
-from lfgpu.training.network import Network, estimate, peak
+from lfgpu.training.network import Network, certainty, estimate, peak
+from lfgpu.training.rig import Rig
+from lfgpu.training.trust import fit_trust
+from lfgpu.training.weights import unfold
 
 _WARM_UP = 200  # steps over which the learning rate rises
 _SHOWN = 100  # steps from one line of the log to the next
 _WINDOWS = 0.25  # share of the steps that compare windows around a coarse map
+_NARROW = 30.0  # pixels in the farthest view: a rig's range that is not wider is compared whole
+_SHOWN_FIRST = 8  # batches that a network which begins with given weights is shown
+_UNSEEN = 1_000_000  # era of the light fields of validations
+_PIXELS = 20_000  # of a batch, that the trust is fitted to
+_PICTURED = 4  # light fields whose maps are drawn
+_STEPS = 4.0  # view steps to the farthest view of a grid of 9 x 9, in which maps are drawn
+
+RATE, RATE_LIKE = 2e-3, 5e-4
+"""Largest learning rates, of random weights and of those that lfgpu comes with."""
+
+STATE_FILE, LOG_FILE = "state.pt", "log.jsonl"
 
 
 @dataclass(frozen=True)
@@ -32,24 +53,37 @@ class Settings:
     """Light fields of a step and process."""
     side: int = 192
     """Pixels of these, each way: a multiple of 32."""
-    rate: float = 2e-3
+    rate: float = RATE
     """Largest learning rate."""
     seed: int = 0
     uses: int = 2
     """Steps for which a batch is used, mirrored, transposed and recoloured."""
     refresh: int = 1000
-    """Steps after which the textures are drawn anew."""
+    """Steps after which the textures are drawn anew and the state is written."""
+    unseen: int = 32
+    """Batches of a validation."""
 
 
-def labels_for(batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor, int]:
+def labels_for(
+    batch: Batch, rng: np.random.Generator, limits: tuple[float, float] | None = None
+) -> tuple[Tensor, Tensor, int]:
     """Draw the disparities to compare: the first of each pixel [b, y, x], the steps [b], the count.
 
-    They are a range that holds the truth, or windows around a coarse map, as the last pass over a wide range has them.
+    They are a range, or windows around a coarse map, as the last pass over a wide range has them.
     """
-    if rng.random() < _WINDOWS:
-        return _windows_for(batch, rng)
-    count = int(rng.choice([20, 28, 36, 48], p=[0.25, 0.3, 0.3, 0.15]))
+    return _windows_for(batch, rng) if rng.random() < _WINDOWS else range_for(batch, rng, limits)
+
+
+def range_for(
+    batch: Batch, rng: np.random.Generator, limits: tuple[float, float] | None = None
+) -> tuple[Tensor, Tensor, int]:
+    """Draw a range that holds the truth, as `labels_for`; about the `limits` of a rig if these are narrow."""
     low, high = batch.truth.amin((1, 2)).cpu().numpy(), batch.truth.amax((1, 2)).cpu().numpy()
+    count = int(rng.choice([20, 28, 36, 48], p=[0.25, 0.3, 0.3, 0.15]))
+    if limits is not None and limits[1] - limits[0] < _NARROW:
+        found = sorted(limits + 0.1 * (limits[1] - limits[0]) * rng.uniform(-0.5, 1, 2) * (-1, 1))
+        low, high = np.minimum(low, found[0]), np.maximum(high, found[1])
+        count = 4 * math.ceil((float((high - low).max()) / rng.uniform(0.45, 0.6) + 5) / 4)
     step = np.maximum(rng.uniform(0.4, 0.9, len(low)), (high - low) / (count - 5))
     free = np.maximum(step * (count - 4) - (high - low), 0)
     first = low - step * 1.5 - rng.uniform(0, 1, len(low)) * free
@@ -97,6 +131,26 @@ def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[
     return {"loss": likelihood + 0.5 * exact, "likelihood": likelihood.detach(), "exact": exact.detach(), **found}
 
 
+@dataclass(frozen=True)
+class Validation:
+    """The result of a network on light fields that it never saw."""
+
+    errors: dict[str, float]
+    """Losses and errors, as `losses` names them."""
+    share: Float64Array
+    spread: Float64Array
+    """The trust, as `fit_trust` gives it."""
+    shown: list[Scene]
+    """Some light fields with their maps."""
+
+
+def read_log(folder: Path) -> list[dict[str, Any]]:
+    """Read the lines of the log of a run."""
+    path = folder / LOG_FILE
+    text = path.read_text(encoding="utf-8") if path.exists() else ""
+    return [json.loads(line) for line in text.splitlines() if line.endswith("}")]
+
+
 class Trainer:
     """A run, or one process of it; each process has one device and its own batches.
 
@@ -105,74 +159,150 @@ class Trainer:
     settings
         The numbers of the run.
     folder
-        The state is read from it, if there is one, and written there.
+        The state is read from it, if there is one, and written there, with a log.
     device
         "cpu" or "cuda:0".
     rank, world
         The number of this process, and how many there are; with several, `torch.distributed` is set up already.
+    rig
+        The cameras that are learned. Default None: cameras of any kind.
+    start
+        The weights that training begins with. Default None: random ones.
+
+    Raises
+    ------
+    LightFieldError
+        If the folder holds another run.
     """
 
-    def __init__(self, settings: Settings, folder: Path, device: str, *, rank: int = 0, world: int = 1) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        folder: Path,
+        device: str,
+        *,
+        rank: int = 0,
+        world: int = 1,
+        rig: Rig | None = None,
+        start: Weights | None = None,
+    ) -> None:
         self.settings, self.folder, self.device, self.rank, self.world = settings, folder, device, rank, world
+        self.rig, self.stopped = rig, False
         torch.manual_seed(settings.seed)
         self.network, self.mean = Network().to(device), Network().to(device)
-        self.mean.load_state_dict(self.network.state_dict())
         self.optimiser = torch.optim.AdamW(self.network.parameters(), settings.rate, weight_decay=1e-3)
-        self.step, self.log = 0, []
-        if (folder / "state.pt").exists():
-            state = torch.load(folder / "state.pt", map_location=device)
-            for name, part in self._parts().items():
-                part.load_state_dict(state[name])
-            self.step, self.log = state["step"], json.loads((folder / "log.json").read_text())
+        self.step = 0
+        self._about = {**asdict(settings), "rig": None if rig is None else asdict(rig)}
+        is_new = not (folder / STATE_FILE).exists()
+        if not is_new:
+            self._read()
         self.generator = self._generator()
+        if is_new:
+            if start is not None:
+                unfold(start, self.network, self._show)
+            if world > 1:
+                for values in self.network.state_dict().values():
+                    dist.broadcast(values, 0)
+            self.mean.load_state_dict(self.network.state_dict())
+
+    def _read(self) -> None:
+        """Read the state and cut off the log behind it."""
+        state = torch.load(self.folder / STATE_FILE, map_location=self.device)
+        if state["about"] != self._about:
+            name = next(name for name in self._about if state["about"].get(name) != self._about[name])
+            was, now = (f"{about.get(name)}" if name != "rig" else "others" for about in (state["about"], self._about))
+            raise LightFieldError(
+                f"{self.folder} holds a run with other settings ({name}: {was}, now {now}); give the same options to "
+                "continue it, or another file or folder to begin anew."
+            )
+        for name, part in self._parts().items():
+            part.load_state_dict(state[name])
+        self.step = state["step"]
+        if self.rank == 0:
+            lines = [line for line in read_log(self.folder) if line["step"] <= self.step]
+            with atomic_write(self.folder / LOG_FILE) as path:
+                path.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
+
+    def _logits(self, network: Network, batch: Batch, first: Tensor, steps: Tensor, count: int) -> Tensor:
+        return estimate(
+            network, batch.views, batch.reference, batch.offsets, batch.starts,
+            margin=batch.margin, first=first, steps=steps, count=count,
+        )  # fmt: skip
 
     def _parts(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
         """Name what has a state."""
         return {"network": self.network, "mean": self.mean, "optimiser": self.optimiser}
 
-    def run(self, seconds: float) -> None:
-        """Train for some time, or to the end of the schedule, and write the state."""
+    def _show(self, network: Network) -> None:
+        """Show a network some batches."""
+        rng = np.random.default_rng((self.settings.seed, 5))
+        for number in range(_SHOWN_FIRST):
+            batch = self.generator.draw(number, self.settings.scenes)
+            first, steps, count = range_for(batch, rng, self._limits)
+            self._logits(network, batch, first, steps, count)
+
+    @property
+    def _limits(self) -> tuple[float, float] | None:
+        return None if self.rig is None else self.rig.limits
+
+    def run(self, seconds: float, on_step: Callable[[int, dict[str, Any]], None] | None = None) -> None:
+        """Train for some time, or to the end of the schedule, or until `stopped` is set, and write the state.
+
+        `on_step` is called after each step with its number and the last line of the log.
+        """
         began = shown = time.monotonic()
         sums: dict[str, Tensor] = {}
+        line: dict[str, Any] = {}
         began_at = since = self.step
         drawn: Batch | None = None
-        while self.step < self.settings.steps and not self._is_over(time.monotonic() - began > seconds):
+        while self.step < self.settings.steps and not self._is_over(self.stopped or time.monotonic() - began > seconds):
             rng = np.random.default_rng((self.settings.seed, 4, self.step, self.rank))
             if self.step % self.settings.refresh == 0 and self.step > began_at:
+                self.write()
                 self.generator = self._generator()
             if drawn is None or self.step % self.settings.uses == 0:
                 drawn = self.generator.draw(self.step, self.settings.scenes)
-            for name, value in self.learn(drawn.turned(rng), rng).items():
+            for name, value in self.learn(drawn.turned(rng, keep=self.rig is not None), rng).items():
                 sums[name] = sums.get(name, 0.0) + value.detach()
-            if self.step % _SHOWN == 0 and self.rank == 0:
+            if (self.step % _SHOWN == 0 or self.step == self.settings.steps) and self.rank == 0:
                 means = {name: round(float(value) / (self.step - since), 4) for name, value in sums.items()}
-                self.log.append(
-                    {"step": self.step, "ms": round(1e3 * (time.monotonic() - shown) / (self.step - since)), **means}
-                )
-                print(*(f"{name} {value}" for name, value in self.log[-1].items()), flush=True)
+                line = {"step": self.step, "ms": round(1e3 * (time.monotonic() - shown) / (self.step - since)), **means}
+                self.note(line)
                 sums, shown, since = {}, time.monotonic(), self.step
+            if on_step is not None:
+                on_step(self.step, line)
+        self.write()
+
+    def write(self) -> None:
+        """Write the state, by the first process."""
         if self.rank == 0:
-            self.write()
+            states = {name: part.state_dict() for name, part in self._parts().items()}
+            with atomic_write(self.folder / STATE_FILE) as path:
+                torch.save({"step": self.step, "about": self._about, **states}, path)
+
+    def note(self, line: dict[str, Any]) -> None:
+        """Append a line to the log."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        with (self.folder / LOG_FILE).open("a", encoding="utf-8") as file:
+            file.write(f"{json.dumps(line)}\n")
 
     def learn(self, batch: Batch, rng: np.random.Generator) -> dict[str, Tensor]:
         """Take one step on a batch, and give its losses and errors."""
         self.network.train()
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate()
-        first, steps, count = labels_for(batch, rng)
+        first, steps, count = labels_for(batch, rng, self._limits)
         with torch.autocast(torch.device(self.device).type, dtype=torch.bfloat16):
-            logits = estimate(
-                self.network, batch.views, batch.reference, batch.offsets, batch.starts,
-                margin=batch.margin, first=first, steps=steps, count=count,
-            )  # fmt: skip
+            logits = self._logits(self.network, batch, first, steps, count)
         found = losses(logits, batch.truth, first, steps)
         self.optimiser.zero_grad(set_to_none=True)
         found["loss"].backward()
         if self.world > 1:
             gradients = [parameter.grad for parameter in self.network.parameters()]
             flat = torch.cat([gradient.flatten() for gradient in gradients])
-            dist.all_reduce(flat, op=dist.ReduceOp.AVG)
-            for gradient, mean in zip(gradients, flat.split([g.numel() for g in gradients]), strict=True):
+            dist.all_reduce(flat)
+            parts = (flat / self.world).split([gradient.numel() for gradient in gradients])
+            for gradient, mean in zip(gradients, parts, strict=True):
                 gradient.copy_(mean.view_as(gradient))
         if bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0))):
             self.optimiser.step()
@@ -185,17 +315,36 @@ class Trainer:
                     old.lerp_(new, share)
         return found
 
-    def write(self) -> None:
-        """Write the state and the log."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        states = {name: part.state_dict() for name, part in self._parts().items()}
-        torch.save({"step": self.step, **states}, self.folder / "state.pt")
-        (self.folder / "log.json").write_text(json.dumps(self.log))
+    def validate(self) -> Validation:
+        """Judge the network on light fields that training never sees, of the first process's seeds."""
+        network, generator = self.mean.eval(), self._generator(_UNSEEN)
+        rng = np.random.default_rng((self.settings.seed, 6))
+        sums: dict[str, float] = {}
+        samples: list[Float64Array] = []
+        shown: list[Scene] = []
+        for number in range(self.settings.unseen):
+            batch = generator.draw(number, self.settings.scenes)
+            first, steps, count = range_for(batch, rng, self._limits)
+            with torch.no_grad():
+                logits = self._logits(network, batch, first, steps, count)
+            for name, value in losses(logits, batch.truth, first, steps).items():
+                sums[name] = sums.get(name, 0.0) + float(value) / self.settings.unseen
+            found = peak(logits, first, steps)
+            step = steps[:, None, None].expand_as(found)
+            values = torch.stack([*certainty(logits), step, (found - batch.truth).abs()]).flatten(1).cpu().numpy()
+            samples.append(values[:, rng.permutation(values.shape[1])[:_PIXELS]].astype(np.float64))
+            if len(shown) < _PICTURED:
+                view, truth, map_ = (x[0].cpu().numpy() for x in (batch.reference, batch.truth, found))
+                shown.append(
+                    Scene(f"{len(batch.offsets) + 1} views", view, truth / _STEPS, {"network": map_ / _STEPS}, border=0)
+                )
+        share, spread = fit_trust(*np.concatenate(samples, 1))
+        return Validation({name: round(value, 4) for name, value in sums.items()}, share, spread, shown)
 
-    def _generator(self) -> Generator:
+    def _generator(self, era: int | None = None) -> Generator:
         """Make the source of the batches of this process until the textures are drawn anew."""
-        era = self.step // self.settings.refresh
-        return Generator((self.settings.seed, era, self.rank), self.device, side=self.settings.side)
+        era = self.step // self.settings.refresh if era is None else era
+        return Generator((self.settings.seed, era, self.rank), self.device, side=self.settings.side, rig=self.rig)
 
     def _rate(self) -> float:
         """Give the learning rate of the next step: half a cosine, after a warm-up."""

@@ -2,17 +2,29 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import lfgpu, refused
+
+from lfgpu import estimate_depth, scenes
+from lfgpu.io import write_hci
+from lfgpu.methods.matching.learned import BUILT_IN, read_weights
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install lfgpu[train]")
 
 from lfgpu.training.generator import Batch, Generator  # noqa: E402
 from lfgpu.training.network import MULTIPLE, Network, estimate, peak  # noqa: E402
+from lfgpu.training.rig import measured_rig  # noqa: E402
+from lfgpu.training.run import run  # noqa: E402
 from lfgpu.training.sectors import SECTORS, UNIT, order_of_sectors, sector_costs  # noqa: E402
-from lfgpu.training.train import Settings, Trainer, labels_for  # noqa: E402
+from lfgpu.training.train import Settings, Trainer, labels_for, range_for  # noqa: E402
+from lfgpu.training.weights import fold  # noqa: E402
+
+ON_CPU = {"backend": "warp", "device": "cpu"}
 
 
 @pytest.fixture(scope="module")
@@ -119,9 +131,12 @@ def test_any_array_gives_logits(generator: Generator) -> None:
     assert logits.shape == (1, 8, MULTIPLE, MULTIPLE)
 
 
+TINY = {"scenes": 2, "side": MULTIPLE, "unseen": 2}
+
+
 @pytest.mark.thorough
 def test_a_network_learns_and_goes_on_where_it_ended(tmp_path: Path) -> None:
-    settings = Settings(steps=60, scenes=2, side=MULTIPLE)
+    settings = Settings(steps=60, **TINY)
     trainer = Trainer(settings, tmp_path, "cpu")
     batch = trainer.generator.draw(0, 2)
     rng = np.random.default_rng(0)
@@ -132,3 +147,79 @@ def test_a_network_learns_and_goes_on_where_it_ended(tmp_path: Path) -> None:
     assert again.step == 40
     for name, value in trainer.mean.state_dict().items():
         assert torch.equal(value, again.mean.state_dict()[name])
+
+
+def test_training_begins_where_weights_are(tmp_path: Path) -> None:
+    """The network with normalisations is the function that the folded weights are, and folds to them again."""
+    weights = read_weights(BUILT_IN)
+    trainer = Trainer(Settings(steps=1, **TINY), tmp_path, "cpu", start=weights)
+    folded = fold(trainer.network.state_dict())
+    assert folded.keys() == weights.keys() - {"share", "spread"}
+    for name, values in folded.items():
+        largest = np.abs(weights[name]).max()
+        np.testing.assert_allclose(values, weights[name], atol=1e-3 * largest)
+    found = trainer.validate()
+    assert found.errors["bad 0.28"] < 0.6  # of random weights: 0.99
+
+
+def test_a_rig_is_what_its_light_fields_are() -> None:
+    """Positions, range, noise, brightness and colours are measured, and generated light fields have them."""
+    options = {"grid": (1, 5), "size": (64, 96), "disparity_range": (-0.4, 1.6), "noise": 0.02}
+    lf = scenes.make("boxes", **options)
+    rig = measured_rig([lf, replace(lf, views=lf.views.mean(-1, keepdims=True).astype(np.uint8))], **ON_CPU)
+    assert not rig.is_grey
+    rig = measured_rig([replace(lf, views=(0.5 * lf.views).mean(-1, keepdims=True).astype(np.uint8))], **ON_CPU)
+    assert rig.arrays == (((-1.0, 0.0), (-0.5, 0.0), (0.5, 0.0), (1.0, 0.0)),)
+    assert rig.limits == pytest.approx((-0.8, 3.2), abs=0.9)
+    assert rig.grain == pytest.approx(0.5 * 0.02 / np.sqrt(3), rel=0.3)
+    assert rig.levels == 255
+    assert rig.is_grey
+    generator = Generator((2,), "cpu", side=64, textures=20, rays=1, rig=rig)
+    means, lows, highs = [], [], []
+    for number in range(4):
+        batch = generator.draw(number, 4)
+        assert sorted(batch.offsets.tolist()) == [[-1, 0], [-0.5, 0], [0.5, 0], [1, 0]]
+        assert torch.equal(batch.views[..., 0], batch.views[..., 2])
+        means.append(float(batch.reference.mean()))
+        lows.append(float(batch.truth.min()))
+        highs.append(float(batch.truth.max()))
+        turned = batch.turned(np.random.default_rng(number), keep=True)
+        assert sorted(turned.offsets.tolist()) == sorted(batch.offsets.tolist())
+        first, steps, count = range_for(batch, np.random.default_rng(number), rig.limits)
+        assert float(first.max()) < rig.limits[0] + 0.5
+        assert float((first[:, 0, 0] + steps * (count - 1)).min()) > rig.limits[1] - 0.5
+    assert np.mean(means) == pytest.approx(rig.level, rel=0.25)
+    assert min(lows) > rig.limits[0] - 1
+    assert max(highs) < rig.limits[1] + 1
+
+
+def test_the_command_fits_weights_in_pieces(tmp_path: Path) -> None:
+    """From a light field to a file of weights with its picture and its log, which an estimate uses."""
+    lf = scenes.make("boxes", grid=(1, 5), size=(32, 48))
+    write_hci(lf, tmp_path / "rig")
+    out = tmp_path / "weights.npz"
+    command = "train", "--like", tmp_path / "rig", "-o", out, "--steps", 2, "--batch", 2, "--device", "cpu"
+    first = lfgpu(*command, "--minutes", 0)
+    assert (first.code, first.err) == (0, "")
+    assert "0 of 2 steps: the same command goes on" in first.out
+    begun = estimate_depth(lf, weights=out).disparity
+    assert np.mean(np.abs(begun - estimate_depth(lf, config="learned").disparity) < 0.02) > 0.9
+    done = lfgpu(*command)
+    assert (done.code, done.err) == (0, "")
+    assert "2 of 2 steps" in done.out
+    folder = tmp_path / "weights.training"
+    assert {path.name for path in folder.iterdir()} == {"state.pt", "log.jsonl", "validation.png"}
+    lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    assert [(line["step"], "unseen" in line) for line in lines] == [(0, True), (2, False), (2, True)]
+    assert estimate_depth(lf, weights=out).config.weights.startswith("weights.npz")
+    refused(lfgpu(*command, "--seed", 1), "holds a run with other settings (seed: 0, now 1)")
+
+
+def test_two_processes_learn_the_same(tmp_path: Path) -> None:
+    settings = Settings(steps=2, **TINY)
+    done, _ = run(settings, tmp_path / "run", tmp_path / "weights.npz", devices=("cpu", "cpu"), seconds=600)
+    assert done == 2
+    alone = Trainer(settings, tmp_path / "alone", "cpu")
+    alone.run(600)
+    both = torch.load(tmp_path / "run" / "state.pt")["network"]
+    assert not all(torch.equal(value, both[name]) for name, value in alone.network.state_dict().items())

@@ -1,0 +1,94 @@
+"""The gain of weights that are fitted to a rig (`lfgpu train --like`), on scenes that the fit never saw."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import numpy as np
+import typer
+
+from benchmarks import population, results, runs
+from benchmarks.options import DeviceName, Out, check_out, say
+from benchmarks.results import Record
+from lfgpu import LightField, scenes
+from lfgpu._backends import DEFAULT, open_device
+from lfgpu.calibration.misalign import displacements
+from lfgpu.data.lightfield import GroundTruth
+from lfgpu.methods import configured
+from lfgpu.methods.matching.learned import BUILT_IN, read_weights
+
+if TYPE_CHECKING:
+    from lfgpu.training.generator import Generator
+
+_RIGS = {"row of 5": ((1, 5), 0.0), "12 scattered": ((3, 4), 0.3)}
+"""Grids, and by how many view steps the cameras are off it (standard deviation)."""
+
+_SHOWN, _UNSEEN = ("boxes", "planes"), ("boxes", "planes", "bars", "textureless", "still_life")
+_RANGE, _NOISE = (-1.2, 2.0), 0.01
+_GENERATED, _SEED = 16, 77  # light fields of the generator, and their seed, which no training has
+
+
+def command(
+    minutes: Annotated[float, typer.Option(min=0, help="Time for the training of each rig.")] = 2.5,
+    steps: Annotated[int, typer.Option(min=1)] = 1800,
+    side: Annotated[int, typer.Option(min=32, help="Height of the views, pixels, a multiple of 32.")] = 192,
+    batch: Annotated[int, typer.Option(min=2, help="Light fields of a step.")] = 8,
+    device: DeviceName = None,
+    out: Out = None,
+) -> None:
+    """Fit weights to a row of 5 and to 12 scattered cameras, and score them against those of lfgpu on unseen scenes."""
+    from lfgpu.training.generator import Generator
+    from lfgpu.training.rig import measured_rig
+    from lfgpu.training.run import run
+    from lfgpu.training.train import RATE_LIKE, Settings
+
+    check_out(out)
+    place, begun = open_device(DEFAULT, device).name, results.Run.begun("like")
+    before: list[Record] = []
+    after: list[Record] = []
+    for name, (grid, off) in _RIGS.items():
+        made = partial(_scene, grid=grid, off=off, size=(side, side * 4 // 3))
+        rig = measured_rig([made(scene, 1) for scene in _SHOWN], backend=DEFAULT, device=place)
+        how = Settings(steps, scenes=batch, side=side, rate=RATE_LIKE, unseen=min(steps, 32))
+        with tempfile.TemporaryDirectory() as folder:
+            path, start = Path(folder, "weights.npz"), read_weights(BUILT_IN)
+            done, found = run(how, Path(folder), path, devices=(place,), seconds=60 * minutes, rig=rig, start=start)
+            fitted = configured("learned", path)
+        say(f"{name}: {done} steps; unseen generated light fields {found.errors}")
+        generator = Generator((_SEED,), place, side=side, rig=rig)
+        farthest = made("boxes", 1).layout.farthest
+        sources = {
+            f"{name}, package": {scene: partial(made, scene, 101) for scene in _UNSEEN},
+            f"{name}, generated": {str(n): partial(_generated, generator, n, farthest) for n in range(_GENERATED)},
+        }
+        for label, some in sources.items():
+            for config, records in ((configured("learned"), before), (fitted, after)):
+                records += population.run(some, {label: config}, ("true",)).records
+    named = [replace(r, name=f"{w}, {r.name}") for w, some in (("shipped", before), ("fitted", after)) for r in some]
+    runs.finish(replace(begun, records=named), out)
+    runs.against(replace(begun, records=after), replace(begun, records=before)).show()
+
+
+def _scene(name: str, seed: int, *, grid: tuple[int, int], off: float, size: tuple[int, int]) -> LightField:
+    """Make a scene of the package with the cameras of a rig."""
+    count, middle = grid[0] * grid[1], grid[0] // 2 * grid[1] + grid[1] // 2
+    moved = displacements(count, middle, off, 0)
+    lf = scenes.make(
+        name, seed=seed, grid=grid, size=size, disparity_range=_RANGE, noise=_NOISE, displaced=moved,
+        reference=divmod(middle, grid[1]),
+    )  # fmt: skip
+    return replace(lf, positions=lf.positions + moved, grid_shape=None, geometry=None)
+
+
+def _generated(generator: Generator, number: int, farthest: float) -> LightField:
+    """Draw a light field of the rig that the generator has."""
+    batch = generator.draw(number, 1)
+    inside = slice(batch.margin, -batch.margin)
+    views = np.concatenate([batch.reference.cpu().numpy(), batch.views[0, :, inside, inside].cpu().numpy()])
+    positions = np.concatenate([np.zeros((1, 2)), batch.offsets * farthest])
+    truth = GroundTruth(batch.truth[0].cpu().numpy() / np.float32(farthest), (0.0, 0.0))
+    return LightField(views, positions, reference=0, truth=truth, name=f"generated {number}")
