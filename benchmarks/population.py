@@ -127,6 +127,7 @@ def _measured(picture: Scene, lf: LightField, truth: GroundTruth, preset: str, c
     metrics = evaluate(result.disparity, truth.disparity, mask=truth.mask)
     curve = sparsification(result.disparity, result.confidence, truth.disparity, mask=truth.mask)
     first, last = result.disparity_range
+    span = (last - first) / max(high - low, scoring.MARGIN)
     return Record(
         KIND,
         result.backend,
@@ -134,7 +135,7 @@ def _measured(picture: Scene, lf: LightField, truth: GroundTruth, preset: str, c
         scene,
         name,
         clock.spread([result.timings["total"]]),
-        errors={**scoring.errors(metrics), "ause": curve.ause, "span": (last - first) / (high - low)},
+        errors={**scoring.errors(metrics), "ause": curve.ause, "span": span},
         compared=f"truth of the data set, {metrics.count} pixels",
         details={"preset": preset, "range": given, "searched": [first, last], "true": [low, high]},
     )

@@ -292,7 +292,8 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate()
         first, steps, count = labels_for(batch, rng, self._limits)
-        with torch.autocast(torch.device(self.device).type, dtype=torch.bfloat16):
+        kind = torch.device(self.device).type
+        with torch.autocast(kind, dtype=torch.bfloat16, enabled=kind == "cuda"):  # on a CPU it is slower than float32
             logits = self._logits(self.network, batch, first, steps, count)
         found = losses(logits, batch.truth, first, steps)
         self.optimiser.zero_grad(set_to_none=True)

@@ -26,7 +26,7 @@ class _Layer:
     stored: str
     norm: str | None
     has_shift: bool
-    """Whether the shift of the normalisation is its bias; of several convolutions of a sum, the last one has it."""
+    """True if its bias is the shift of the normalisation; of several convolutions of a sum, the last one has it."""
 
 
 def _layers(state: Mapping[str, Tensor]) -> Iterator[_Layer]:

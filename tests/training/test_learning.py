@@ -24,6 +24,8 @@ from lfgpu.training.sectors import SECTORS, UNIT, order_of_sectors, sector_costs
 from lfgpu.training.train import Settings, Trainer, labels_for, range_for  # noqa: E402
 from lfgpu.training.weights import fold  # noqa: E402
 
+torch.set_num_threads(1)  # small volumes: several threads would wait for each other, most of all on a busy machine
+
 ON_CPU = {"backend": "warp", "device": "cpu"}
 
 
@@ -175,22 +177,22 @@ def test_a_rig_is_what_its_light_fields_are() -> None:
     assert rig.levels == 255
     assert rig.is_grey
     generator = Generator((2,), "cpu", side=64, textures=20, rays=1, rig=rig)
-    means, lows, highs = [], [], []
+    means, truths = [], []
     for number in range(4):
         batch = generator.draw(number, 4)
         assert sorted(batch.offsets.tolist()) == [[-1, 0], [-0.5, 0], [0.5, 0], [1, 0]]
         assert torch.equal(batch.views[..., 0], batch.views[..., 2])
         means.append(float(batch.reference.mean()))
-        lows.append(float(batch.truth.min()))
-        highs.append(float(batch.truth.max()))
+        truths.append(batch.truth.numpy())
         turned = batch.turned(np.random.default_rng(number), keep=True)
         assert sorted(turned.offsets.tolist()) == sorted(batch.offsets.tolist())
         first, steps, count = range_for(batch, np.random.default_rng(number), rig.limits)
         assert float(first.max()) < rig.limits[0] + 0.5
         assert float((first[:, 0, 0] + steps * (count - 1)).min()) > rig.limits[1] - 0.5
     assert np.mean(means) == pytest.approx(rig.level, rel=0.25)
-    assert min(lows) > rig.limits[0] - 1
-    assert max(highs) < rig.limits[1] + 1
+    low, high = np.quantile(truths, (0.03, 0.97))
+    assert rig.limits[0] - 0.3 < low < rig.limits[0] + 1.5
+    assert rig.limits[1] - 1.5 < high < rig.limits[1] + 0.3
 
 
 def test_the_command_fits_weights_in_pieces(tmp_path: Path) -> None:
