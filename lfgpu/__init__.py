@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from lfgpu.pipelines.grouper import FrameGroup, FrameGrouper
     from lfgpu.pipelines.pipeline import DepthPipeline
     from lfgpu.pipelines.rectifier import Rectifier
+    from lfgpu.pipelines.resident import kept_memory, set_kept_memory
     from lfgpu.pipelines.stream import DepthStream
     from lfgpu.pipelines.stream_result import FrameDroppedError, StreamResult
     from lfgpu.pipelines.verdict import judged
@@ -85,6 +86,7 @@ _HOMES = {
     "fill_unknown": "data.filling",
     "get_threads": "threads",
     "judged": "pipelines.verdict",
+    "kept_memory": "pipelines.resident",
     "list_backends": "_backends",
     "load": "io",
     "point_cloud": "data.points",
@@ -92,6 +94,7 @@ _HOMES = {
     "refocus": "viz.refocusing",
     "render_view": "viz.rendering",
     "save": "io",
+    "set_kept_memory": "pipelines.resident",
     "set_threads": "threads",
     "to_xarray": "io.labelled",
     "write_report": "reports.report",
@@ -133,6 +136,7 @@ __all__ = [
     "fill_unknown",
     "get_threads",
     "judged",
+    "kept_memory",
     "list_backends",
     "load",
     "point_cloud",
@@ -140,6 +144,7 @@ __all__ = [
     "refocus",
     "render_view",
     "save",
+    "set_kept_memory",
     "set_threads",
     "to_xarray",
     "write_report",

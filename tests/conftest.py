@@ -18,6 +18,7 @@ from lfgpu.contract import KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError
 from lfgpu.io import write_hci
+from lfgpu.pipelines.resident import KEPT
 from lfgpu.scenes import render, synthesis
 from lfgpu.threads import get_threads
 
@@ -26,6 +27,12 @@ DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared"
 
 
 SCENES, PICTURES = 4, 2**27  # of synthetic scenes, how many a worker keeps, and how many bytes of what they look like
+
+
+@pytest.fixture(autouse=True)
+def _nothing_kept() -> None:
+    """No test meets a pipeline of another one."""
+    KEPT.free()
 
 
 class Target(NamedTuple):

@@ -29,6 +29,11 @@ def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> 
     return np.zeros(shape)
 
 
+def clear(array_out: Array) -> Array:
+    array_out[...] = 0
+    return array_out
+
+
 def scalar(value: float, device: str) -> Array:
     return np.array([value], np.float64)
 

@@ -116,11 +116,10 @@ def shared(field: DeviceArray) -> Any:
     )
 
 
-def clear(array: DeviceArray) -> DeviceArray:
-    """Set the array to 0."""
+def clear(array_out: DeviceArray) -> DeviceArray:
     with alone():
-        array.values.fill(0)
-    return array
+        array_out.values.fill(0)
+    return array_out
 
 
 def numpy(array: DeviceArray) -> NDArray[Any]:

@@ -1,6 +1,5 @@
 """Arrays of the Warp backend: fields are scalars, images are vectors of their channels, so that a pixel is one load."""
 
-import math
 import os
 import sys
 import tempfile
@@ -87,14 +86,17 @@ def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> 
 
 
 def _zeros(shape: Sequence[int], dtype: Any, device: str) -> Any:
-    """Zeros; all threads of a CPU write many: pages of memory come when they are first written to."""
-    place = wp.get_device(device)
-    if place.is_cuda or math.prod(shape) * wp.types.type_size_in_bytes(dtype) < _LARGE:
-        return wp.zeros(tuple(shape), dtype=dtype, device=place)
-    array = wp.empty(tuple(shape), dtype=dtype, device=place)
-    flat = array.flatten()
-    in_slices(place, flat.size, lambda _, first, last: flat[first:last].zero_())
-    return array
+    """Return zeros; all threads of a CPU write many: pages of memory come when they are first written to."""
+    return clear(wp.empty(tuple(shape), dtype=dtype, device=device))
+
+
+def clear(array_out: Any) -> Any:
+    if array_out.device.is_cuda or array_out.size * wp.types.type_size_in_bytes(array_out.dtype) < _LARGE:
+        array_out.zero_()
+    else:
+        flat = array_out.flatten()
+        in_slices(flat.device, flat.size, lambda _, first, last: flat[first:last].zero_())
+    return array_out
 
 
 def scalar(value: float, device: str) -> Any:

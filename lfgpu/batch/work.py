@@ -168,7 +168,6 @@ def _estimate(lf: LightField, job: Job, device: str) -> DepthResult:
     result = _resident().estimate(
         lf,
         measured or method_of(settings.config).given(lf.layout, settings.disparity_range),
-        captured=True,
         config=settings.config,
         disparity_range=settings.disparity_range,
         backend=settings.backend,
@@ -183,7 +182,7 @@ def _resident() -> Resident:
     """Return the pipeline that this process keeps."""
     from lfgpu.pipelines.resident import Resident
 
-    return Resident()
+    return Resident(most=1)
 
 
 def _measured(first: tuple[Item, ...], settings: Settings, device: str) -> Measured | None:

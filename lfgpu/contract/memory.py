@@ -31,6 +31,9 @@ class Memory(Protocol):
     def zeros_image(self, shape: Sequence[int], device: str, stored: Any = np.float32) -> Array:
         """Return an image of zeros of the NumPy type `stored`; `shape` is [..., c]."""
 
+    def clear(self, array_out: Array) -> Array:
+        """Set a field or an image to zeros, and return it."""
+
     def scalar(self, value: float, device: str) -> Scalar:
         """Return a number on the device."""
 

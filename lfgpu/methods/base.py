@@ -8,7 +8,7 @@ Pipelines, tiles, streams, batches, the viewer and the command line use methods 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
 
@@ -191,10 +191,11 @@ class Method(ABC, Generic[C]):
         *,
         disparity_range: tuple[float, float] | None = None,
         views: Array | None = None,
+        held: Sequence[int] | None = None,
     ) -> Measured:
         """Measure the disparity range, or check the given one, and measure what else the method needs.
 
-        `views` are all views of the light field as stored, if they are on the device already.
+        `views` and `held` are as for `find_disparity_range`.
 
         Raises
         ------
@@ -204,7 +205,7 @@ class Method(ABC, Generic[C]):
         if disparity_range is not None:
             bounds = checked_range(disparity_range, lf.layout)
         else:
-            bounds = find_disparity_range(lf, device, views=views)
+            bounds = find_disparity_range(lf, device, views=views, held=held)
         return self.measured(lf, bounds, device)
 
     def measured(self, lf: LightField, bounds: tuple[float, float], device: Device) -> Measured:

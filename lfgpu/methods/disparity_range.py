@@ -68,7 +68,9 @@ class _Evidence:
     """True if each side was a single view, and none stood opposite."""
 
 
-def find_disparity_range(lf: LightField, device: Device, *, views: Array | None = None) -> tuple[float, float]:
+def find_disparity_range(
+    lf: LightField, device: Device, *, views: Array | None = None, held: Sequence[int] | None = None
+) -> tuple[float, float]:
     """Find the range of disparities in the scene.
 
     The nearest views are compared first, at up to 64 px between them (at most 0.4 of the views' shorter side), then
@@ -82,8 +84,10 @@ def find_disparity_range(lf: LightField, device: Device, *, views: Array | None 
     device
         The device on which views are compared. The host waits for the device once for each of two to ten comparisons.
     views
-        All views [n, y, x, c] of `lf` as stored, if they are on the device already. Default None: those that are
-        compared are copied there.
+        Views [n, y, x, c] of `lf` as stored that are on the device already. Default None: those that are compared are
+        copied there.
+    held
+        Indices of `views` among those of `lf`. Default None: all.
 
     Returns
     -------
@@ -94,8 +98,9 @@ def find_disparity_range(lf: LightField, device: Device, *, views: Array | None 
     LightFieldError
         If no pixel is evidence for any disparity.
     """
+    shown = None if views is None else (views, range(len(lf.views)) if held is None else held)
     try:
-        return _found(lf, device, views)
+        return _found(lf, device, shown)
     except LightFieldError:
         if max(lf.size) <= _WINDOW:
             raise
@@ -105,14 +110,14 @@ def find_disparity_range(lf: LightField, device: Device, *, views: Array | None 
         return _found(lf.crop(rows, columns), device, None)
 
 
-def _found(lf: LightField, device: Device, views: Array | None) -> tuple[float, float]:
+def _found(lf: LightField, device: Device, shown: tuple[Array, Sequence[int]] | None) -> tuple[float, float]:
     """Find the range, see `find_disparity_range`; views may be reduced to a `_SIDE`-th of their shorter side."""
     shorter, farthest = min(lf.size), lf.layout.farthest
     nearest = _nearest(lf.layout)
     fine = max(1, round(shorter / _SIDE))
     sizes = [1, *(2**k for k in range(1, _COARSER + 1) if shorter // (2**k * fine) >= _COARSEST)]
     most = largest_disparity(lf.layout)
-    search = _Search(lf, device, views, fine)
+    search = _Search(lf, device, shown, fine)
     with device.asking():
         found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:2][-1:])
         if len(sizes) > 1 and not np.isfinite(found[0].disparity).any():  # finer than the pixels of reduced views
@@ -201,8 +206,10 @@ def _sides(layout: ViewLayout, reach: float) -> list[_Side]:
 class _Search:
     """The views of a light field, compared on a device at `factor` times lower resolution, or still lower."""
 
-    def __init__(self, lf: LightField, device: Device, views: Array | None, factor: int) -> None:
-        self._lf, self._device, self._views, self._factor = lf, device, views, factor
+    def __init__(self, lf: LightField, device: Device, shown: tuple[Array, Sequence[int]] | None, factor: int) -> None:
+        self._lf, self._device, self._factor = lf, device, factor
+        self._views: Array | None = None if shown is None else shown[0]
+        self._held = [] if shown is None else list(shown[1])
         self._least_noise = _LEAST_NOISE * exposure_of(lf)
 
     def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
@@ -252,12 +259,14 @@ class _Search:
     def _shrunk(self, chosen: list[int]) -> Array:
         """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
         lf, device, kernels = self._lf, self._device, self._device.kernels
-        at_once = len(chosen) if self._views is not None else max(1, _AT_ONCE // lf.views[0].nbytes)
+        are_there = set(chosen) <= set(self._held)
+        at_once = len(chosen) if are_there else max(1, _AT_ONCE // lf.views[0].nbytes)
         parts = []
         for begin in range(0, len(chosen), at_once):
             some = chosen[begin : begin + at_once]
-            views, places = self._views, some
-            if views is None:
+            if are_there:
+                views, places = self._views, [self._held.index(view) for view in some]
+            else:
                 views, places = device.image(lf.views[some]), list(range(len(some)))
                 forget(lf.views)
             valid = None if lf.valid is None else device.field(lf.valid[some])

@@ -10,7 +10,8 @@ from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import parse_memory
-from lfgpu.pipelines.pipeline import DepthPipeline, Progress
+from lfgpu.pipelines.pipeline import Progress
+from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.tiles import estimate_in_tiles
 from lfgpu.pipelines.verdict import judged
 
@@ -87,6 +88,7 @@ def estimate_depth(
     """
     check_light_field(lf)
     if max_memory is not None:
+        KEPT.free()
         result = estimate_in_tiles(
             lf,
             config=configured(config, weights),
@@ -98,15 +100,15 @@ def estimate_depth(
             max_memory=parse_memory(max_memory),
         )
     else:
-        pipeline = DepthPipeline(
+        result = KEPT.estimate(
             lf,
-            config=configured(config, weights),
             disparity_range=disparity_range,
+            on_progress=on_progress,
+            config=configured(config, weights),
             backend=backend,
             device=device,
             deterministic=deterministic,
         )
-        result = pipeline.estimate(on_progress=on_progress)
     return judged(
         lf,
         result,

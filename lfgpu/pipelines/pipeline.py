@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager, suppress
 from time import perf_counter
 from typing import Any
 
@@ -23,6 +23,7 @@ from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
+from lfgpu.methods.recycling import RecyclingDevice
 from lfgpu.pipelines.range_confirmation import confirm
 from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
@@ -101,13 +102,13 @@ class DepthPipeline:
         pictures = lf
         if rectifier is not None:
             lf = rectifier.rectified(pictures, place)
-        self._lf, self._backend, self._is_raw = lf, backend, rectifier is not None
-        self._timings: dict[str, float] = {}
+        self._backend, self._is_raw = backend, rectifier is not None
+        self._buffers = RecyclingDevice(place.kernels, place.name)
+        self._plan: Plan
+        self._bytes: int | None = None  # of its memory, about
         self._graph: Callable[[], None] | None = None
-        self._runs, self._is_whole = 0, False  # whether the map in memory is whole: of a run that came to its end
-        self._is_found = measured is None and disparity_range is None  # and no map has confirmed the range
-        self._notes: tuple[str, ...] = ()  # about that range
-        self._unseen = False  # True if the views came from a GPU, where nobody looks for NaN
+        self._is_loaded = False  # whether the plan has run, which loads all kernels
+        self._begin(lf, is_found=measured is None and disparity_range is None)
         used = self.method.used_views(lf.layout)  # no others go to the device
         self._used = used if len(used) < len(lf.views) else None
         self._layout = lf.layout if self._used is None else lf.layout.subset(used)
@@ -117,17 +118,58 @@ class DepthPipeline:
                     Rehearsal(self.method, lf, place).measure(disparity_range)
             with self._timed("measure"):
                 self._front = DeviceViews(rectifier, pictures, place, used=used)
-                self.measured = measured or self.method.measure(
-                    lf,
-                    place,
-                    disparity_range=disparity_range,
-                    views=self._front.views if rectifier is None and self._used is None else None,
-                )
+                self.measured = measured or self._measure(disparity_range)
             with self._timed("compile"):
                 Rehearsal(self.method, lf, place, used=self._used).run(self.measured)
             with self._timed("measure"):
                 self._waited_for = place.scalar(0.0)  # who reads it waits for all that was asked
-                self._plan: Plan = self.method.plan(self._layout, self.measured, place)
+                self._replan(self.measured)
+
+    def take(
+        self, lf: LightField, *, disparity_range: tuple[float, float] | None = None, measured: Measured | None = None
+    ) -> None:
+        """Go on with another light field, as if the pipeline had been made for it.
+
+        Parameters
+        ----------
+        lf
+            A light field of the same kind: equal positions, reference view, size, stored type, scale and masks.
+        disparity_range, measured
+            As for the pipeline.
+
+        Raises
+        ------
+        LightFieldError
+            If the range is wrong or none is found. Then the pipeline goes on when it takes a light field that has one.
+        """
+        self._begin(lf, is_found=measured is None and disparity_range is None)
+        self._timings["compile"] = 0.0
+        with self._timed("measure"), self._device.asking():
+            self.kernels.upload(lf.views, self._front.frame, chosen=self._used)
+            found = measured or self._measure(disparity_range)
+            if found != self.measured:
+                self._replan(found)
+
+    def let_go(self) -> int:
+        """Let go of the light field, until the pipeline takes another; returns the bytes that stay, about."""
+        lf = self._lf
+        del self._lf
+        if self._bytes is None:
+            kept = self.method.footprint(lf.layout, self.measured, on_gpu=self._device.is_gpu)
+            self._bytes = kept.bytes(*lf.size) - kept.besides
+        return self._bytes
+
+    def _begin(self, lf: LightField, *, is_found: bool) -> None:
+        self._lf = lf
+        self._timings: dict[str, float] = {}
+        self._runs, self._is_whole = 0, False  # whether the map in memory is whole: of a run that came to its end
+        self._is_found = is_found  # and no map has confirmed the range
+        self._notes: tuple[str, ...] = ()  # about that range
+        self._unseen = False  # True if the views came from a GPU, where nobody looks for NaN
+
+    def _measure(self, disparity_range: tuple[float, float] | None) -> Measured:
+        shown = {} if self._is_raw else {"views": self._front.views, "held": self._used}
+        return self.method.measure(self._lf, self._device, disparity_range=disparity_range, **shown)
 
     def upload(self, views: Any) -> None:
         """Replace the views.
@@ -184,12 +226,17 @@ class DepthPipeline:
 
     def run(self) -> None:
         """Estimate the disparity of the current views. Returns before the device has finished."""
-        if self._graph is None and self._runs > 0 and self.method.is_on_device:
-            self._graph = self.kernels.capture(self.work, self.device)
         self._is_whole = False
+        work = self._captured() or self.work
         with self._device.asking():
-            (self._graph or self.work)()
-        self._runs, self._is_whole = self._runs + 1, True
+            work()
+        self._runs, self._is_whole, self._is_loaded = self._runs + 1, True, True
+
+    def _captured(self) -> Callable[[], None] | None:
+        """Return all work as a graph; None until it has run once, and where the device cannot repeat work alone."""
+        if self._graph is None and self._is_loaded and self.method.is_on_device:
+            self._graph = self.kernels.capture(self.work, self.device)
+        return self._graph
 
     @property
     def bounds(self) -> tuple[float, float]:
@@ -243,16 +290,35 @@ class DepthPipeline:
         with self._whole_or_undone():
             self._timings = dict(before)
             with self._timed("total"):
-                self._rectify()
-                for stage in self.stages():
-                    self._do(stage, on_progress)
-                    if stage == self.method.MATCHED and self._runs == 0:
-                        self._widen(stage, on_progress)
-                    if stage == self._plan.decided:
-                        self._plan.check(self._lf.name)
+                work = self._captured() if on_progress is None else None
+                if work is None:
+                    self._rectify()
+                    self._follow(self.stages(), on_progress)
+                else:
+                    self._follow_captured(work)
             self._timings["total"] += sum(before.values())
-            self._runs, self._is_whole = self._runs + 1, True
+            self._runs, self._is_whole, self._is_loaded = self._runs + 1, True, True
         return self.result()
+
+    def _follow(self, stages: Iterable[str], on_progress: Progress | None) -> None:
+        for stage in stages:
+            self._do(stage, on_progress)
+            if stage == self.method.MATCHED and self._runs == 0:
+                self._widen(stage, on_progress)
+            if stage == self._plan.decided:
+                self._plan.check(self._lf.name)
+
+    def _follow_captured(self, work: Callable[[], None]) -> None:
+        """Run all stages at once; again those after the first one, if that takes a wider range."""
+        with self._timed("run"):
+            with self._device.asking():
+                work()
+            self.kernels.number(self._waited_for)
+        first, plan = self.method.MATCHED, self._plan
+        if first is not None and self._runs == 0:
+            self._widen(first, None)
+        if self._plan is not plan:
+            self._follow([stage for stage in self.stages() if stage != first], None)
 
     def confirm_range(self) -> tuple[str, ...]:
         """Take a wider disparity range where the first map shows surfaces at the ends of the one that was found.
@@ -351,8 +417,11 @@ class DepthPipeline:
 
     def _replan(self, measured: Measured) -> None:
         self.measured = measured
-        del self._plan  # its memory first
-        self._plan = self.method.plan(self._layout, measured, self._device)
+        self._bytes, self._graph, self._is_loaded = None, None, False
+        with suppress(AttributeError):
+            del self._plan  # its memory first
+        self._buffers.begin()
+        self._plan = self.method.plan(self._layout, measured, self._buffers)
 
     @contextmanager
     def _whole_or_undone(self) -> Iterator[None]:

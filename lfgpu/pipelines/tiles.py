@@ -170,7 +170,7 @@ def _estimate_all(
 
     def go(device: str) -> None:
         nonlocal done
-        resident = Resident()
+        resident = Resident(most=1)
         while not stop.is_set():
             try:
                 index = left.get_nowait()

@@ -182,6 +182,8 @@ FAULTS: dict[tuple[str, str], tuple[Callable[[Operation], Operation], Check]] = 
     ("image", "channels first"): (argument(0, lambda values: np.moveaxis(values, -1, 0)), value_of("image_memory")),
     ("image", "scaled"): (lambda right: lambda *a: right(*a) / 255, value_of("image_memory")),
     ("zeros_image", "not zero"): (lambda right: lambda shape, *_: np.ones(shape), value_of("image_memory")),
+    ("clear", "nothing done"): (lambda right: lambda out: out, value_of("memory")),
+    ("clear", "nothing done to an image"): (lambda right: lambda out: out, value_of("image_memory")),
     ("shared", "a copy"): (lambda right: lambda field: right(field).copy(), shared),
     ("shared", "turned"): (lambda right: lambda field: right(field)[::-1], shared),
     ("repeat", "looks afterwards"): (looping(lambda go_on, most: 1), repeats),

@@ -130,6 +130,7 @@ def test_matrix_has_every_operation_of_the_contract() -> None:
         "image",
         "zeros",
         "zeros_image",
+        "clear",
         "scalar",
         "upload",
         "numpy",

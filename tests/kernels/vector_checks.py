@@ -148,7 +148,15 @@ def memory(desk: Desk, i: SimpleNamespace) -> Outputs:
     desk.kernels.numpy(field)[:] = 9.0
     zeros = desk.kernels.zeros(i.x.shape, desk.device)
     number = desk.kernels.number(desk.number(i.alpha))
-    return {"field": field, "strided": strided, "uploaded": uploaded, "zeros": zeros, "number": number}
+    cleared = desk.kernels.clear(desk.kernels.field(i.x, desk.device))
+    return {
+        "field": field,
+        "strided": strided,
+        "uploaded": uploaded,
+        "zeros": zeros,
+        "cleared": cleared,
+        "number": number,
+    }
 
 
 def image_memory(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -163,6 +171,7 @@ def image_memory(desk: Desk, i: SimpleNamespace) -> Outputs:
         "uploaded": desk.stored_values(uploaded),
         "strided": desk.stored_values(desk.kernels.image(i.recorded[:, :, ::-1], desk.device)),
         "zeros": desk.kernels.zeros_image(i.recorded.shape, desk.device),
+        "cleared": desk.stored_values(desk.kernels.clear(desk.kernels.image(i.recorded, desk.device))),
         "stored zeros": desk.stored_values(
             desk.kernels.zeros_image(i.recorded.shape, desk.device, i.recorded.dtype.type)
         ),

@@ -1,0 +1,167 @@
+"""Pipelines that stay in memory: the next estimate of the kind is that of a pipeline of its own, bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import lfgpu
+from lfgpu import scenes
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DepthResult
+from lfgpu.errors import LightFieldError
+from lfgpu.methods.recycling import RecyclingDevice
+from lfgpu.pipelines.pipeline import DepthPipeline
+from lfgpu.pipelines.resident import KEPT, set_kept_memory
+
+LIMIT = "2GiB"
+
+
+@pytest.fixture(autouse=True)
+def _limit() -> Iterator[None]:
+    yield
+    set_kept_memory(LIMIT)
+
+
+def a_scene(seed: int, noise: float = 0.0, *, masked: bool = False) -> LightField:
+    """Make a light field of one kind, whose range, noise and grain depend on `seed` and `noise`."""
+    lf = scenes.make("relief", grid=(3, 5), size=(48, 56), seed=seed, noise=noise)
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    valid[2, 10:20, 5:20] = valid[lf.reference_index, :3, :4] = False
+    return replace(lf, truth=None, valid=valid if masked else None)
+
+
+FIELDS = (0, 0.0), (1, 0.02), (2, 0.0), (2, 0.0)
+"""Seeds and noises; the last two light fields are the same, which a GPU repeats as a graph."""
+
+
+def estimated(lf: LightField, target: Any, **options: Any) -> DepthResult:
+    return lfgpu.estimate_depth(lf, backend=target.backend, device=target.device, check_cameras=False, **options)
+
+
+def assert_equal(one: DepthResult, other: DepthResult) -> None:
+    for name in ("disparity", "confidence", "uncertainty"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    for stage, map_ in one.stages.items():
+        np.testing.assert_array_equal(map_, other.stages[stage])
+    for name in ("disparity_range", "status", "trace", "converged", "notes", "name", "config"):
+        assert getattr(one, name) == getattr(other, name)
+
+
+@pytest.mark.parametrize("masked", [False, True], ids=["whole", "masked"])
+@pytest.mark.parametrize("given", [None, (-2.5, 2.5)], ids=["found", "given"])
+@pytest.mark.parametrize("config", ["fast", "accurate", "learned", "paper"])
+def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, given: Any, masked: bool) -> None:
+    if not target.kernels.is_deterministic(target.device):
+        pytest.skip("its maps differ from run to run")
+    if target.backend != "warp" and (masked or config in ("learned", "paper")):
+        pytest.skip("takes long, and is the same on the host")
+    fields = [a_scene(seed, noise, masked=masked) for seed, noise in FIELDS]
+    alone = []
+    for lf in fields:
+        KEPT.free()
+        alone.append(estimated(lf, target, config=config, disparity_range=given))
+    assert len({result.disparity_range for result in alone}) == (3 if given is None else 1)
+    KEPT.free()
+    for lf, result in zip(fields, alone, strict=True):
+        assert_equal(estimated(lf, target, config=config, disparity_range=given), result)
+        assert len(KEPT._kept) == 1
+
+
+def test_a_plan_begins_with_clear_buffers() -> None:
+    from lfgpu._backends import open_device
+
+    place = open_device("reference")
+    device = RecyclingDevice(place.kernels, place.name)
+    one, image = device.zeros((2, 3)), device.zeros_image((2, 3, 1))
+    other = device.zeros((2, 3))
+    assert other is not one
+    one[:], image[:] = 1, 1
+    device.begin()
+    again = [device.zeros((2, 3)) for _ in range(3)]
+    assert {id(one), id(other)} < {id(array) for array in again}
+    assert device.zeros_image((2, 3, 1)) is image
+    assert not np.any([*again, image[..., 0]])
+
+
+def test_light_fields_of_other_kinds_have_pipelines_of_their_own() -> None:
+    first = a_scene(0)
+    kinds = [
+        first,
+        first.with_reference(0),
+        first.crop(slice(0, 40), slice(0, 40)),
+        a_scene(0, masked=True),
+        replace(first, views=first.views.astype(np.uint16) * 257, white=None),
+    ]
+    for count, lf in enumerate(kinds, 1):
+        lfgpu.estimate_depth(lf, config="fast", device="cpu", disparity_range=(-2, 2), check_cameras=False)
+        assert len(KEPT._kept) == min(count, 4)  # the most that are kept
+    lfgpu.estimate_depth(first, config="accurate", device="cpu", disparity_range=(-2, 2), check_cameras=False)
+    assert next(reversed(KEPT._kept.values()))[0].config != next(iter(KEPT._kept.values()))[0].config
+
+
+def test_memory_is_limited_counted_and_freed() -> None:
+    lf = a_scene(0)
+    estimate = lambda: lfgpu.estimate_depth(lf, config="fast", device="cpu", disparity_range=(-2, 2))  # noqa: E731
+    estimate()
+    kept = lfgpu.kept_memory()
+    assert kept > 10 * lf.views[lf.reference_index].nbytes
+    lfgpu.set_kept_memory(0)
+    assert lfgpu.kept_memory() == 0
+    estimate()
+    assert lfgpu.kept_memory() == 0
+    lfgpu.set_kept_memory(kept - 1)
+    estimate()
+    assert lfgpu.kept_memory() == 0
+    lfgpu.set_kept_memory(kept)
+    estimate()
+    assert lfgpu.kept_memory() == kept
+    lfgpu.estimate_depth(lf, config="fast", device="cpu", disparity_range=(-2, 2), max_memory="2GiB")
+    assert lfgpu.kept_memory() == 0  # the limit is for all that the process has
+    with pytest.raises(LightFieldError, match="must be a size such as 8GiB"):
+        lfgpu.set_kept_memory("much")
+
+
+def test_views_are_not_kept() -> None:
+    lf = a_scene(0)
+    lfgpu.estimate_depth(lf, config="fast", device="cpu", disparity_range=(-2, 2))
+    ((pipeline, _),) = KEPT._kept.values()
+    assert not hasattr(pipeline, "_lf")
+
+
+def test_a_light_field_without_an_estimate_leaves_no_trace() -> None:
+    lf = a_scene(0)
+    want = lfgpu.estimate_depth(lf, config="fast", device="cpu")
+    blank = replace(lf, views=np.full_like(lf.views, 128))
+    for given in (None, (-2.0, 2.0), (1.0, 1.0)):
+        with pytest.raises(LightFieldError):
+            lfgpu.estimate_depth(blank, config="fast", device="cpu", disparity_range=given)
+        assert_equal(lfgpu.estimate_depth(lf, config="fast", device="cpu"), want)
+        assert len(KEPT._kept) == 1
+
+
+def test_threads_do_not_share_a_pipeline() -> None:
+    fields = [a_scene(seed) for seed in range(4)]
+    want = [lfgpu.estimate_depth(lf, config="fast", device="cpu") for lf in fields]
+    with ThreadPoolExecutor(4) as pool:
+        for _ in range(3):
+            found = pool.map(lambda lf: lfgpu.estimate_depth(lf, config="fast", device="cpu"), fields)
+            for one, other in zip(found, want, strict=True):
+                assert_equal(one, other)
+
+
+def test_a_pipeline_takes_another_light_field() -> None:
+    """Also after one whose range was widened, or whose stages were followed one by one."""
+    first, second = a_scene(0), a_scene(1, 0.02)
+    pipeline = DepthPipeline(first, config="fast", device="cpu")
+    pipeline.estimate(on_progress=lambda *_: None)
+    pipeline.take(second)
+    assert_equal(pipeline.estimate(), DepthPipeline(second, config="fast", device="cpu").estimate())
+    pipeline.take(first, measured=pipeline.measured)
+    measured = DepthPipeline(first, config="fast", device="cpu", measured=pipeline.measured)
+    assert_equal(pipeline.estimate(), measured.estimate())
