@@ -13,7 +13,8 @@ PYTEST := $(BIN)/python -m pytest -n auto --maxprocesses 4 --dist worksteal
 test: .venv/develop
 	$(PYTEST) -m "not thorough"
 
-# What `make test` leaves out: faults that tests must notice, benchmarks, wheels, kernels of a GPU on a CPU, kills, load.
+# What `make test` leaves out: faults that tests must notice, benchmarks, wheels, kernels of a GPU on a CPU, kills, load,
+# C++ compilers, whole estimates by other backends than the default, and most of what is looked at in a browser.
 test-all: test
 	$(PYTEST) -m thorough
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2

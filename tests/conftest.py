@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import pickle
 import secrets
 import shutil
 from collections.abc import Iterator
+from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,26 +15,17 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
-from lfgpu._backends import list_backends, load
+from lfgpu._backends import DEFAULT, list_backends, load
 from lfgpu.contract import KernelSet
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError
 from lfgpu.io import write_hci
 from lfgpu.pipelines.resident import KEPT
-from lfgpu.scenes import render, synthesis
+from lfgpu.scenes import synthesis
 from lfgpu.threads import get_threads
 
 SEED = "LFGPU_TEST_SEED"
 DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
-
-
-SCENES, PICTURES = 4, 2**27  # of synthetic scenes, how many a worker keeps, and how many bytes of what they look like
-
-
-@pytest.fixture(autouse=True)
-def _nothing_kept() -> None:
-    """No test meets a pipeline of another one."""
-    KEPT.free()
 
 
 class Target(NamedTuple):
@@ -137,6 +130,7 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """`target`: each backend x device that can be tried; `other`: those but the reference; `named`: all.
 
+    Outside of tests/kernels, which hold each operation of each backend, all but the default backend are thorough.
     Comes last, so that what one case needs is computed once for all of them, and in one worker of pytest-xdist.
     """
     targets = metafunc.config.stash[_TARGETS]
@@ -146,10 +140,23 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
         "other": [target for target in there if target.backend != "reference"],
         "named": [target if target.kernels else _skipped(target) for target in targets],
     }
+    in_kernels = metafunc.definition.path.parent.name == "kernels"
     for name, values in chosen.items():
         own = any(name in mark.args[0] for mark in metafunc.definition.iter_markers("parametrize"))
         if name in metafunc.fixturenames and not own:
-            metafunc.parametrize(name, values, ids=str)
+            metafunc.parametrize(name, values if in_kernels else [_everyday(value) for value in values], ids=str)
+
+
+def _everyday(target: Any) -> Any:
+    """A parameter that is thorough if its backend is not the default."""
+    is_default = not isinstance(target, Target) or target.backend == DEFAULT
+    return target if is_default else pytest.param(target, marks=pytest.mark.thorough)
+
+
+def pytest_itemcollected(item: pytest.Item) -> None:
+    """In a browser, only what everybody sees of the viewer is no thorough test."""
+    if "browser" in getattr(item, "fixturenames", ()) and item.path.name not in ("test_looking.py", "test_banner.py"):
+        item.add_marker(pytest.mark.thorough)
 
 
 def _skipped(target: Target) -> Any:
@@ -158,7 +165,8 @@ def _skipped(target: Target) -> Any:
 
 @pytest.fixture(autouse=True)
 def nothing_kept(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Captures are decoded in each test, and nothing is left in the cache of the user."""
+    """No pipeline is one of another test; captures are decoded in each, and the cache of the user stays as it is."""
+    KEPT.free()
     place = tmp_path_factory.getbasetemp() / f"decoded-{secrets.token_hex(4)}"
     monkeypatch.setattr("lfgpu.io.lenslet.kept.folder", lambda: place)
 
@@ -185,30 +193,33 @@ def pytest_runtest_makereport(item: pytest.Item) -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _scenes_are_drawn_once() -> Iterator[None]:
-    """Keep the pictures that scenes were drawn as: to draw them takes longer than most of what is done with them."""
-    right, draw = synthesis._scene, render.picture
-    made: dict[str, Any] = {}
-    drawn: dict[Any, tuple[Any, np.ndarray]] = {}
+def _scenes_are_drawn_once(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Keep light fields of scenes for other tests, workers and runs, until the code that draws them changes.
 
-    def scene(*arguments: Any) -> Any:
-        if len(made) >= SCENES:
-            made.clear()
-        key = repr(arguments)
-        return made[key] if key in made else made.setdefault(key, right(*arguments))
+    To draw them takes longer than most of what is done with them.
+    """
+    draw, cache = synthesis._record, getattr(request.config, "cache", None)  # there is none with -p no:cacheprovider
+    package = Path(synthesis.__file__).parents[1]
+    code = [path.read_bytes() for room in ("scenes", "data") for path in sorted((package / room).glob("*.py"))]
+    state = sha256(b"".join([np.__version__.encode(), *code])).hexdigest()
+    kept = cache.mkdir("scenes") if cache else tmp_path_factory.mktemp("scenes")
+    for other in {*kept.iterdir()} - {kept / state}:
+        shutil.rmtree(other, ignore_errors=True)
+    (kept / state).mkdir(exist_ok=True)
 
-    def picture(things: list[Any], frame: Any, offset: tuple[float, float]) -> np.ndarray:
-        key = (*map(id, things), frame, *map(float, offset))
-        found = drawn.get(key)
-        if found is None:
-            if sum(values.nbytes for _, values in list(drawn.values())) > PICTURES:  # threads add to it meanwhile
-                drawn.clear()
-            found = drawn[key] = things, draw(things, frame, offset)  # things, too: nothing else gets their ids
-        return found[1].copy()
+    def record(scene: Any, recording: Any, time: float, displaced: Any = None) -> LightField:
+        moved = None if displaced is None else displaced.tolist()
+        named = repr((scene.name, scene.grid, scene.frame, scene.seed, recording, time, moved))
+        file = kept / state / sha256(named.encode()).hexdigest()
+        if not file.exists():
+            written = file.with_name(secrets.token_hex(8))
+            written.write_bytes(pickle.dumps(draw(scene, recording, time, displaced)))
+            written.replace(file)
+        found: LightField = pickle.loads(file.read_bytes())
+        return found
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(synthesis, "_scene", scene)
-        patch.setattr(render, "picture", picture)
+        patch.setattr(synthesis, "_record", record)
         yield
 
 

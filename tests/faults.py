@@ -76,7 +76,7 @@ FAULTS = (
         "kernels/warp/lbfgs.py",
         "_DECREASE = 1e-4",
         "_DECREASE = 2e-4",
-        (_MATRIX, "-k", "armijo and warp"),
+        (_MATRIX, "-k", "sufficient_decrease and warp"),
     ),
     Fault(
         "rings of fewer rows than a slice of views begins with",

@@ -43,10 +43,20 @@ def small(**options: Any) -> LightField:
     return relief(**({"grid": (5, 5), "size": (56, 64)} | options))
 
 
+def tiny(**options: Any) -> LightField:
+    return relief(**({"grid": (3, 3), "size": (40, 48)} | options))
+
+
 @cache
 def estimated(**options: Any) -> DepthResult:
     """Relief, within the range that the scene was made for."""
     return estimate_depth(relief(**options), disparity_range=options.get("disparity_range", RANGE))
+
+
+@cache
+def converged(solver: str = "lbfgs", **options: Any) -> DepthResult:
+    config = CONVERGED.with_values({"refinement.solver": solver})
+    return estimate_depth(tiny(**options), config=config, disparity_range=RANGE, device="cpu")
 
 
 def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
@@ -64,14 +74,14 @@ def difference(one: np.ndarray, other: np.ndarray, share: float = 0.95) -> float
 
 
 def test_each_stage_is_better_than_the_one_before_and_the_last_within_two_hundredths_of_a_pixel() -> None:
-    lf = scenes.make("relief", grid=(9, 9), size=(256, 256))
+    lf = scenes.make("relief", grid=(9, 9), size=(128, 128))
     rmse = {stage: score.rmse for stage, score in scores(lf, estimate_depth(lf)).items()}
     assert rmse["refine"] < rmse["propagate"] < rmse["local"]
     assert rmse["refine"] < 0.015
 
 
 def test_refined_map_of_a_wide_relief_is_within_two_hundredths_of_a_pixel() -> None:
-    wide = {"disparity_range": WIDE, "size": (192, 192)}  # as steep as the narrow one needs more room
+    wide = {"disparity_range": WIDE, "size": (144, 144)}  # as steep as the narrow one needs more room
     assert scores(relief(**wide), estimated(**wide))["refine"].rmse < 0.02
 
 
@@ -109,7 +119,7 @@ def test_a_piece_of_a_real_benchmark_is_found(data_folder: Path) -> None:
     assert result.disparity_range[0] <= np.quantile(truth, 0.01) < np.quantile(truth, 0.99) <= result.disparity_range[1]
 
 
-@pytest.mark.parametrize("place", [(0, 0), (0, 3), (3, 6), (6, 6)], ids=str)
+@pytest.mark.parametrize("place", [(0, 0), (3, 6)], ids=str)
 def test_any_view_may_be_the_reference(place: tuple[int, int]) -> None:
     lf = relief(reference=place)
     result = estimated(reference=place)
@@ -136,23 +146,24 @@ def test_range_is_found_where_it_is_not_given() -> None:
 
 
 def test_grey_is_colour_of_three_equal_channels() -> None:
-    grey = small(channels=1)
+    grey = tiny(channels=1)
     colour = LightField(np.repeat(grey.views, 3, axis=3), grey.positions, reference=grey.reference)
     one, other = (estimate_depth(lf, config=CONVERGED, disparity_range=RANGE).disparity for lf in (grey, colour))
     assert difference(one, other, 0.5) < 1e-3  # 95 % of them are below 0.011 only
 
 
 def test_float32_is_uint16_without_its_rounding() -> None:
-    one, other = (
-        estimate_depth(small(dtype=dtype), config=CONVERGED, disparity_range=RANGE).disparity
-        for dtype in ("float32", "uint16")
-    )
-    assert difference(one, other) < 1e-3
+    assert difference(*(converged(dtype=dtype).disparity for dtype in ("float32", "uint16"))) < 1e-3
 
 
 def test_uint8_is_near_float32() -> None:
-    one, other = (estimate_depth(small(dtype=dtype), disparity_range=RANGE).disparity for dtype in ("float32", "uint8"))
-    assert difference(one, other) < 0.01
+    fine = estimate_depth(small(dtype="float32"), disparity_range=RANGE, device="cpu")
+    assert difference(fine.disparity, upright().disparity) < 0.01
+
+
+@cache
+def upright() -> DepthResult:
+    return estimate_depth(small(), disparity_range=RANGE, device="cpu")
 
 
 def transposed(lf: LightField) -> LightField:
@@ -175,8 +186,7 @@ def rotated(lf: LightField) -> LightField:
     ids=["transposed", "mirrored", "rotated"],
 )
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
-    lf = small()
-    one, other = (estimate_depth(field, disparity_range=RANGE) for field in (lf, turn(lf)))
+    one, other = upright(), estimate_depth(turn(small()), disparity_range=RANGE)
     assert difference(one.stages["propagate"], back(other.stages["propagate"])) < 1e-3
     assert difference(one.disparity, back(other.disparity)) < 5e-3
     assert difference(one.confidence, back(other.confidence)) < 1e-3
@@ -202,20 +212,15 @@ def test_masked_pixels_do_not_count() -> None:
     valid[corners, :20, :20] = False
     garbage = lf.views.copy()
     garbage[corners, :20, :20] = 255
-    one, other = (
-        estimate_depth(
-            LightField(views, lf.positions, reference=lf.reference, valid=valid),
-            config=CONVERGED,
-            disparity_range=RANGE,
-        )
-        for views in (lf.views, garbage)
-    )
+    fields = (LightField(views, lf.positions, reference=lf.reference, valid=valid) for views in (lf.views, garbage))
+    one, other = (estimate_depth(field, config=CONVERGED, disparity_range=RANGE) for field in fields)
     assert difference(one.disparity, other.disparity) < 1e-3
     assert np.abs(one.disparity - other.disparity).max() < 0.05
 
 
-def test_results_are_the_same_again() -> None:
-    one, other = (estimate_depth(small(), disparity_range=RANGE, device="cpu") for _ in range(2))
+def test_results_are_the_same_again_and_a_preset_is_its_parameters() -> None:
+    one, other = upright(), estimate_depth(small(), disparity_range=RANGE, config=preset("paper"), device="cpu")
+    assert one.config == preset("paper")
     np.testing.assert_array_equal(one.disparity, other.disparity)
     np.testing.assert_array_equal(one.confidence, other.confidence)
     assert one.trace == other.trace
@@ -227,9 +232,9 @@ def test_results_are_the_same_again() -> None:
 def test_disparities_lie_in_the_range() -> None:
     result = estimate_depth(small(), disparity_range=(-0.5, 0.75))
     assert result.disparity_range == (-0.5, 0.75)
-    for stage in ("propagate", "refine"):
-        assert np.float32(-0.5) <= result.stages[stage].min()
-        assert result.stages[stage].max() <= np.float32(0.75)
+    for stage in ("local", "propagate", "refine"):
+        assert np.float32(-0.5) <= np.nanmin(result.stages[stage])
+        assert np.nanmax(result.stages[stage]) <= np.float32(0.75)
 
 
 def test_maps_are_float32_of_the_views_size() -> None:
@@ -285,15 +290,10 @@ def test_solver_of_the_refinement_is_the_one_asked_for(solver: str) -> None:
 
 
 def test_solvers_of_the_refinement_find_the_same_map() -> None:
-    one, other = (
-        estimate_depth(
-            small(), disparity_range=RANGE, config=CONVERGED.with_values({"refinement.solver": solver}), device="cpu"
-        )
-        for solver in ("lbfgs", "lbfgsb")
-    )
+    one, other = (converged(solver) for solver in ("lbfgs", "lbfgsb"))
     assert difference(one.disparity, other.disparity) < 1e-3
     assert one.trace[-1] == pytest.approx(other.trace[-1], rel=5e-3)
-    found, want = (scores(small(), result)["refine"] for result in (one, other))
+    found, want = (scores(tiny(), result)["refine"] for result in (one, other))
     assert found.rmse == pytest.approx(want.rmse, rel=0.02)
 
 
@@ -306,8 +306,15 @@ def test_energy_falls_and_convergence_is_said() -> None:
     assert "limit of iterations" in cut.status
 
 
-@pytest.mark.parametrize(("name", "near"), [("paper", 3e-3), ("paper-exact", 1e-3)])
-@pytest.mark.parametrize("scene", ["relief", "boxes"])
+@pytest.mark.parametrize(
+    ("name", "near", "scene"),
+    [
+        ("paper", 3e-3, "boxes"),
+        ("paper-exact", 1e-3, "relief"),
+        pytest.param("paper", 3e-3, "relief", marks=pytest.mark.thorough),
+        pytest.param("paper-exact", 1e-3, "boxes", marks=pytest.mark.thorough),
+    ],
+)
 def test_a_map_that_converged_is_near_its_minimum(name: str, near: float, scene: str) -> None:
     """As docs/devices.md says; 95 % of the pixels of each stage."""
     lf = scenes.make(scene, grid=(5, 5), size=(56, 64))
@@ -331,8 +338,10 @@ def test_matching_converges_where_there_is_a_surface(name: str) -> None:
 
 
 def test_a_step_that_leaves_the_matched_surface_is_no_convergence(rng: np.random.Generator) -> None:
+    """In noise it is 0.114 px, with a standard deviation of 0.003 px, and halfway to the next disparity is 0.05 px."""
     noise = LightField.from_grid(rng.random((5, 5, 64, 72, 3), np.float32))
-    result = estimate_depth(noise, config="fast", disparity_range=RANGE, device="cpu")
+    config = preset("fast").with_values({"sweep.step": 0.2})
+    result = estimate_depth(noise, config=config, disparity_range=RANGE, device="cpu")
     assert not result.converged, result.status
 
 
@@ -360,13 +369,6 @@ def test_views_are_left_as_they_were() -> None:
     before = lf.views.copy()
     estimate_depth(lf, disparity_range=RANGE, config=QUICK)
     np.testing.assert_array_equal(lf.views, before)
-
-
-def test_a_preset_is_its_parameters() -> None:
-    by_name = estimate_depth(small(), disparity_range=RANGE, config="paper")
-    assert by_name.config == preset("paper")
-    again = estimate_depth(small(), disparity_range=RANGE, config=preset("paper"))
-    np.testing.assert_array_equal(again.disparity, by_name.disparity)
 
 
 # --- errors ---

@@ -36,7 +36,7 @@ def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: flo
     assert high - low <= times * np.ptp(truth) + more
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.03])
+@pytest.mark.parametrize("noise", [0.03, pytest.param(0.0, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_it_holds_the_scene(name: str, noise: float) -> None:
     spans(scenes.make(name, seed=7, size=(160, 200), noise=noise), missing=0.002)
@@ -119,7 +119,7 @@ def test_a_wall_behind_noise_is_in_it(name: str, options: dict[str, Any]) -> Non
     spans(scenes.make(name, reference=reference, **options), missing=0.002)
 
 
-@pytest.mark.parametrize("backend", ["taichi", "reference"])
+@pytest.mark.parametrize("backend", ["reference", pytest.param("taichi", marks=pytest.mark.thorough)])
 def test_it_does_not_depend_on_the_backend(backend: str) -> None:
     lf = scenes.make("boxes", grid=(3, 3), size=(64, 72))
     valid = np.random.default_rng(0).uniform(size=lf.views.shape[:3]) > 0.001

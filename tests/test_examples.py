@@ -35,6 +35,7 @@ def test_every_notebook_is_tried() -> None:
     assert {path.stem for path in FOLDER.glob("*.ipynb")} == {"depth_map"}
 
 
+@pytest.mark.thorough
 def test_the_notebook_runs_and_shows_what_it_says(tmp_path: Path) -> None:
     """In a kernel of Jupyter, from a folder of its own."""
     nbformat = pytest.importorskip("nbformat", reason="nbclient is not installed: pip install 'lfgpu[test]'")

@@ -1,4 +1,4 @@
-"""Exported pipelines give the same bits without Python as with it."""
+"""Exported pipelines give the same bits without Python as with it: what a C++ compiler is needed for is thorough."""
 
 from __future__ import annotations
 
@@ -82,6 +82,7 @@ def replayed(program: Path, *arguments: Path | str) -> subprocess.CompletedProce
     return subprocess.run([program, *arguments], capture_output=True, text=True, timeout=600, check=False)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("config", ["accurate", "fast"])
 def test_same_bits_without_python(program: Path, tmp_path: Path, config: str) -> None:
     """Each frame starts from the map before, but the first one and the one of another scene."""
@@ -100,6 +101,7 @@ def test_same_bits_without_python(program: Path, tmp_path: Path, config: str) ->
     assert not np.array_equal(want[1], streamed(config, None)[0][1])
 
 
+@pytest.mark.thorough
 def test_each_frame_on_its_own(program: Path, tmp_path: Path) -> None:
     lfgpu.export_pipeline(film()[0], tmp_path / "out", config="fast", disparity_range=RANGE, prior=None)
     assert not (tmp_path / "out" / "warm.wrp").exists()
@@ -119,6 +121,7 @@ def raw_film() -> tuple[list[np.ndarray], Rectifier]:
     return [lf.views for lf in seen], made.rectifier()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("config", ["accurate", "fast"])
 def test_raw_pictures_are_rectified_without_python(program: Path, tmp_path: Path, config: str) -> None:
     """All views are used by `accurate`, a star of them by `fast`."""
@@ -171,6 +174,7 @@ int main(int, char** arguments)
 """
 
 
+@pytest.mark.thorough
 def test_the_library_in_a_project_of_its_own(built: Path, tmp_path: Path) -> None:
     lfgpu.export_pipeline(film()[0], tmp_path / "out", config="fast", disparity_range=RANGE)
     (tmp_path / "user").mkdir()
@@ -186,6 +190,7 @@ def test_the_library_in_a_project_of_its_own(built: Path, tmp_path: Path) -> Non
     assert done.stdout == "nowhere/replay.txt cannot be read; give a folder that lfgpu export made.|1\n", done.stderr
 
 
+@pytest.mark.thorough
 def test_mistakes_of_those_who_replay(program: Path, tmp_path: Path) -> None:
     lfgpu.export_pipeline(frames()[0], tmp_path / "out", config="fast", disparity_range=RANGE)
     (tmp_path / "half.raw").write_bytes(b"\0" * 1000)

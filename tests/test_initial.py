@@ -111,28 +111,6 @@ def test_wide_disparities_are_found_by_shearing(seed: int) -> None:
     assert found.undefined < 1
 
 
-@pytest.mark.parametrize("place", [(0, 0), (0, 6), (6, 3), (3, 0), (6, 6)], ids=str)
-def test_any_view_may_be_the_reference(place: tuple[int, int]) -> None:
-    lf = relief(reference=place)
-    found = score(lf, estimated(lf))
-    assert found.rmse < 0.045
-    assert found.undefined < 1
-
-
-@pytest.mark.parametrize("line", ["row", "column", "cross", "star"])
-def test_some_views_are_enough(line: str) -> None:
-    lf = relief().subset(line)
-    found = score(lf, estimated(lf))
-    assert found.rmse < 0.04
-    assert found.undefined < 2
-
-
-@pytest.mark.parametrize("options", [{"dtype": "uint16"}, {"dtype": "float32"}, {"channels": 1}], ids=str)
-def test_any_dtype_and_grey_will_do(options: dict[str, Any]) -> None:
-    lf = relief(**options)
-    assert score(lf, estimated(lf)).rmse < 0.04
-
-
 def test_a_missing_view_in_the_row_is_no_gap() -> None:
     full = relief()
     lf = full.subset([index for index in range(49) if index != full.index_of(3, 4)])
@@ -142,23 +120,6 @@ def test_a_missing_view_in_the_row_is_no_gap() -> None:
 def test_steps_of_shear_that_are_no_whole_numbers_will_do() -> None:
     lf = relief()
     assert score(lf, estimated(lf, shear_step=0.75)).rmse < 0.04
-
-
-def test_row_and_column_exchanged_gives_the_transpose() -> None:
-    lf = relief()
-    turned = LightField(np.ascontiguousarray(lf.views.swapaxes(1, 2)), lf.positions[:, ::-1], reference=lf.reference)
-    one, other = estimated(lf), estimated(turned)
-    assert np.quantile(np.abs(one.disparity - other.disparity.T), 0.99) < 1e-4
-    assert np.quantile(np.abs(one.coherence - other.coherence.T), 0.99) < 1e-4
-
-
-@pytest.mark.parametrize("axis", [0, 1], ids=["left-right", "up-down"])
-def test_the_mirrored_scene_gives_the_mirrored_map(axis: int) -> None:
-    lf = relief()
-    mirror = np.where(np.arange(2) == axis, -1.0, 1.0)
-    turned = LightField(np.flip(lf.views, 2 - axis).copy(), lf.positions * mirror, reference=lf.reference)
-    one, other = estimated(lf), estimated(turned)
-    assert np.quantile(np.abs(one.disparity - np.flip(other.disparity, 1 - axis)), 0.99) < 1e-4
 
 
 def test_masked_pixels_of_the_row_do_not_count() -> None:
@@ -206,31 +167,12 @@ def test_estimates_lie_in_the_range() -> None:
     assert -0.5 <= defined.min() <= defined.max() <= 0.75
 
 
-def test_maps_are_float32_of_the_views_size() -> None:
-    local = estimated(relief(size=(64, 80)))
-    for values in (local.disparity, local.coherence):
-        assert (values.shape, values.dtype) == ((64, 80), np.float32)
-        assert np.isfinite(values).all()
-
-
 # --- errors ---
-
-
-def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
-    lf = relief()
-    diagonal = lf.subset([lf.index_of(k, k) for k in range(7)])
-    with pytest.raises(LightFieldError, match="needs a second view in the row or the column"):
-        estimated(diagonal)
 
 
 def test_a_range_without_any_estimate_is_refused() -> None:
     with pytest.raises(LightFieldError, match="no pixel has a coherent estimate within the disparity range"):
         lfgpu.estimate_depth(relief(), disparity_range=(7.0, 7.0001), config="paper")
-
-
-def test_views_without_texture_are_undefined_everywhere() -> None:
-    flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8))
-    assert not estimated(flat).coherence.any()
 
 
 # --- cameras that do not stand one step apart, and disparities out of the ordinary ---

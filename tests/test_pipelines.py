@@ -1,8 +1,7 @@
-"""Whole pipelines: every backend on every device ends where the reference ends, and where the others end."""
+"""Whole pipelines: every backend on every device ends where the reference ends."""
 
 from __future__ import annotations
 
-import itertools
 import re
 from functools import cache
 from typing import Any, NamedTuple
@@ -31,7 +30,7 @@ class Scene(NamedTuple):
     """A scene that a pipeline is tried on."""
 
     name: str
-    options: tuple[tuple[str, Any], ...] = (("grid", (5, 5)), ("size", (40, 44)))
+    options: tuple[tuple[str, Any], ...] = (("grid", (3, 5)), ("size", (32, 36)))
     damaged: bool = False  # with views missing and pixels masked
 
     def __str__(self) -> str:
@@ -42,7 +41,7 @@ SCENES = (
     Scene("relief"),
     Scene("boxes"),
     Scene("textureless"),
-    Scene("relief", (("grid", (3, 5)), ("size", (44, 36)), ("channels", 1), ("dtype", "uint16")), damaged=True),
+    Scene("relief", (("grid", (3, 5)), ("size", (36, 32)), ("channels", 1), ("dtype", "uint16")), damaged=True),
 )
 
 
@@ -88,12 +87,3 @@ def test_pipeline_ends_where_the_reference_ends(other: Any, scene: Scene) -> Non
     result = estimated(scene, other.backend, other.device)
     assert (result.backend, result.device) == (other.backend, other.device)
     assert_same(result, estimated(scene, "reference", "cpu"))
-
-
-@pytest.mark.parametrize("scene", SCENES, ids=str)
-def test_pipelines_end_where_each_other_ends(scene: Scene, others: list[Any]) -> None:
-    if len(others) < 2:
-        pytest.skip(f"one backend on one device here: {', '.join(map(str, others)) or 'none'}")
-    results = [estimated(scene, target.backend, target.device) for target in others]
-    for one, other in itertools.combinations(results, 2):
-        assert_same(one, other)

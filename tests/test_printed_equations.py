@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import replace
 from typing import Any
 
@@ -105,8 +106,13 @@ def test_a_line_of_views_has_the_maps_of_that_line_only(line: str, other: str) -
 # --- by-pixel acceptance ---
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-@pytest.mark.parametrize("name", scenes.NAMES)
+QUICK = ("boxes", 0.0), ("bars", 0.02)
+OTHERS = [case for case in itertools.product(scenes.NAMES, (0.0, 0.02)) if case not in QUICK]
+
+
+@pytest.mark.parametrize(
+    ("name", "noise"), [*QUICK, *(pytest.param(*case, marks=pytest.mark.thorough) for case in OTHERS)]
+)
 def test_the_refinement_leaves_no_map_worse(name: str, noise: float) -> None:
     lf = scenes.make(name, grid=(7, 7), size=(112, 112), noise=noise)
     assert lf.truth is not None

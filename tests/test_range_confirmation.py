@@ -98,7 +98,7 @@ def test_an_estimate_that_is_interrupted_changes_nothing() -> None:
     expected = DepthPipeline(lf, config="fast", device="cpu").estimate(on_progress=lambda *of: calls.append(of[0]))
     assert calls.count("sweep") >= 3  # the found range, a wider one, the found one again
     assert len(expected.notes) == 1
-    for last in range(len(calls)):
+    for last in sorted({0, len(calls) - 1, *(n for n, stage in enumerate(calls) if stage == "sweep")}):
         pipeline, left = DepthPipeline(lf, config="fast", device="cpu"), [last]
 
         def interrupt(*_: object, left: list[int] = left) -> None:

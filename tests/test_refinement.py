@@ -95,17 +95,6 @@ def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
     assert scipy.solution.converged
 
 
-def test_lbfgs_ends_where_scipy_ends(target: Any) -> None:
-    """With a tolerance at which both come to the minimum; without occlusions, so that there is one."""
-    case = problem("relief", target)
-    limits = {"tolerance": 1e-5, "max_iterations": 300}
-    own, scipy = (case.solved(solver, **limits) for solver in (BoundedLbfgs, ScipyLbfgsb))
-    assert own.solution.trace[-1] == pytest.approx(scipy.solution.trace[-1], rel=5e-3)
-    apart = np.abs(own.values - scipy.values)
-    assert (apart > 1e-3).mean() < 0.15
-    assert (apart > 1e-2).mean() < 0.02
-
-
 @pytest.mark.parametrize("scene", SCENES)
 def test_refinement_falls_within_bounds_that_hold_it_and_says_so(target: Any, scene: str) -> None:
     case = problem(scene, target)

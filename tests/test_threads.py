@@ -71,6 +71,7 @@ print(hashlib.sha256(b"".join(values.tobytes() for values in maps)).hexdigest())
 """
 
 
+@pytest.mark.thorough
 def test_maps_have_the_same_bits_for_any_number_of_threads(other: Any) -> None:
     """In processes of their own: a backend may keep the number that it started with."""
     if other.device != "cpu":

@@ -37,7 +37,7 @@ SIDE = 490  # pixels
 @pytest.fixture(scope="module")
 def scene() -> LightField:
     """With noise, so that nothing is as it is by chance, and larger than two tiles and their halos."""
-    return scenes.make("boxes", grid=(5, 5), size=(SIDE, SIDE), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
+    return scenes.make("boxes", grid=(3, 3), size=(SIDE, SIDE), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -52,6 +52,17 @@ def parameters(scene: LightField) -> Config:
 @pytest.fixture(scope="module")
 def whole(scene: LightField, parameters: Config) -> DepthResult:
     return estimate_depth(scene, config=parameters, disparity_range=RANGE, device="cpu")
+
+
+@pytest.fixture(scope="module")
+def strip(scene: LightField) -> LightField:
+    """Wide enough for two tiles of the preset that looks less far."""
+    return scene.crop(slice(0, 64), slice(0, 400))
+
+
+@pytest.fixture(scope="module")
+def quick(parameters: Config) -> Config:
+    return preset("fast").with_values({"sweep.noise": parameters.sweep.noise})  # type: ignore[attr-defined]
 
 
 def halo(lf: LightField, config: Config) -> tuple[int, int]:
@@ -137,11 +148,13 @@ def test_tiles_are_doubted_together() -> None:
 
 
 def test_without_a_halo_the_map_would_differ(
-    scene: LightField, parameters: Config, whole: DepthResult, monkeypatch: pytest.MonkeyPatch
+    scene: LightField, parameters: Config, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The comparison can fail."""
+    part = scene.crop(slice(0, 200), slice(0, 200))
+    whole = estimate_depth(part, config=parameters, disparity_range=RANGE, device="cpu")
     monkeypatch.setattr(type(method_of(parameters)), "halo", lambda *_: (1, 1))
-    found = in_tiles(scene, parameters, memory_for(scene, parameters, 48, 48))
+    found = in_tiles(part, parameters, memory_for(part, parameters, 48, 48))
     assert np.abs(found.disparity - whole.disparity).max() > 10 * TOLERANCE
 
 
@@ -164,55 +177,51 @@ def test_the_halo_holds_what_is_looked_at_and_what_may_hide_it(config: str) -> N
 
 def test_noise_and_range_are_those_of_the_whole(scene: LightField) -> None:
     """So that a light field in one tile is estimated as it is without the limit."""
-    plain = estimate_depth(scene, config="fast", device="cpu")
-    limited = estimate_depth(scene, config="fast", device="cpu", max_memory="8GiB")
+    part = scene.crop(slice(0, 160), slice(0, 160))
+    plain = estimate_depth(part, config="fast", device="cpu")
+    limited = estimate_depth(part, config="fast", device="cpu", max_memory="8GiB")
     assert limited.status.startswith("In one piece: ")
     assert limited.disparity_range == plain.disparity_range
     assert np.array_equal(limited.disparity, plain.disparity)
     assert np.array_equal(limited.confidence, plain.confidence)
 
 
-def test_several_devices_give_the_same(scene: LightField, parameters: Config) -> None:
+def test_several_devices_give_the_same(strip: LightField, quick: Config) -> None:
     """Each in a thread with a pipeline of its own, here twice the CPU."""
-    config = parameters.with_values({"sweep.views": "cross", "sweep.resweeps": 0, "alignment.iterations": 1})
-    edge = halo(scene, config)
-    plan = tiles.plan_tiles(scene.size, edge, Footprint(1.0, 0), SIDE * SIDE)
+    plan = tiles.plan_tiles(strip.size, halo(strip, quick), Footprint(1.0, 0), 64 * 400)
     assert len(plan.starts) > 1
-    options = {"config": config, "disparity_range": RANGE, "backend": "warp", "deterministic": False}
-    one = tiles._estimate_all(scene, method_of(config), plan, ["cpu"], options, None)
-    two = tiles._estimate_all(scene, method_of(config), plan, ["cpu", "cpu"], options, None)
+    options = {"config": quick, "disparity_range": RANGE, "backend": "warp", "deterministic": False}
+    one = tiles._estimate_all(strip, method_of(quick), plan, ["cpu"], options, None)
+    two = tiles._estimate_all(strip, method_of(quick), plan, ["cpu", "cpu"], options, None)
     for a, b in zip(one, two, strict=True):
         assert a is not None
         assert b is not None
         assert np.array_equal(a.disparity, b.disparity)
 
 
-def test_a_tile_that_shows_nothing_does_not_end_the_others(scene: LightField, parameters: Config) -> None:
-    views = scene.views.copy()
-    views[:, :, : SIDE - 40] = 0
-    config = parameters.with_values({"sweep.views": "cross", "sweep.resweeps": 0, "alignment.iterations": 1})
-    dark = replace(scene, views=views, truth=None)
-    width = tiles._cuts(SIDE, halo(dark, config)[1])[-1][1]
-    assert width < SIDE - 40
-    found = in_tiles(dark, config, memory_for(dark, config, SIDE, width))
+def test_a_tile_that_shows_nothing_does_not_end_the_others(strip: LightField, quick: Config) -> None:
+    views = strip.views.copy()
+    views[:, :, :360] = 0
+    dark = replace(strip, views=views, truth=None)
+    width = tiles._cuts(400, halo(dark, quick)[1])[-1][1]
+    assert width < 360
+    found = in_tiles(dark, quick, memory_for(dark, quick, 64, width))
     assert "have no estimate" in found.status
     assert np.isnan(found.disparity[:, 0]).all()
     assert (found.confidence[:, 0] == 0).all()
-    assert np.isfinite(found.disparity[:, SIDE - 1]).all()
+    assert np.isfinite(found.disparity[:, 399]).all()
 
 
-def test_masks_are_those_of_each_tile(scene: LightField, parameters: Config) -> None:
-    valid = np.ones(scene.views.shape[:3], bool)
+def test_masks_are_those_of_each_tile(strip: LightField, quick: Config) -> None:
+    valid = np.ones(strip.views.shape[:3], bool)
     valid[:, 20:40, 30:50] = False
-    masked = replace(scene, valid=valid)
-    config = parameters.with_values({"sweep.views": "cross", "sweep.resweeps": 0, "alignment.iterations": 1})
-    whole = estimate_depth(masked, config=config, disparity_range=RANGE, device="cpu")
-    width = tiles._cuts(SIDE, halo(masked, config)[1])[1][1]
-    found = in_tiles(masked, config, memory_for(masked, config, SIDE, width))
+    masked = replace(strip, valid=valid)
+    whole = estimate_depth(masked, config=quick, disparity_range=RANGE, device="cpu")
+    found = in_tiles(masked, quick, memory_for(masked, quick, 64, tiles._cuts(400, halo(masked, quick)[1])[1][1]))
     assert found.status.startswith("2 tiles")
-    np.testing.assert_array_equal(np.isnan(found.disparity), ~valid[scene.reference_index])
+    np.testing.assert_array_equal(np.isnan(found.disparity), ~valid[strip.reference_index])
     assert np.nanmax(np.abs(found.disparity - whole.disparity)) < TOLERANCE
-    assert (found.confidence[~valid[scene.reference_index]] == 0).all()
+    assert (found.confidence[~valid[strip.reference_index]] == 0).all()
 
 
 # --- the plan ---
@@ -331,7 +340,9 @@ def test_what_is_taken_where_there_is_room_has_an_end() -> None:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is measured as Linux counts it")
 @pytest.mark.parametrize("device", ["cpu", "cuda:0"])
-@pytest.mark.parametrize("name", ["accurate", "fast", "paper"])
+@pytest.mark.parametrize(
+    "name", ["fast", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("accurate", "paper"))]
+)
 def test_memory_is_as_foreseen(name: str, device: str) -> None:
     if device not in load("warp").devices():
         pytest.skip(f"no {device} here")
@@ -370,7 +381,7 @@ def test_depth_takes_a_limit(scene: LightField, tmp_path: Path) -> None:
 def test_views_on_disk_are_those_in_memory(scene: LightField, tmp_path: Path) -> None:
     small = scene.crop(slice(0, 40), slice(0, 44))
     write_hci(small, tmp_path / "folder")
-    np.save(tmp_path / "file.npy", small.views.reshape(5, 5, *small.views.shape[1:]))
+    np.save(tmp_path / "file.npy", small.views.reshape(3, 3, *small.views.shape[1:]))
     for name in ("folder", "file.npy"):
         plain, lazy = read(tmp_path / name), read(tmp_path / name, lazy=True)
         assert is_mapped(lazy.views)

@@ -19,10 +19,10 @@ from lfgpu.errors import LightFieldError
 from lfgpu.viz.colours import painted
 
 RANGE = (-1.6, 1.7)
-HOLE = np.s_[:20, -24:]
+HOLE = np.s_[:10, -16:]
 
 
-def masked(size: tuple[int, int] = (72, 80)) -> LightField:
+def masked(size: tuple[int, int] = (40, 48)) -> LightField:
     """A scene of which no view recorded one corner."""
     lf = scenes.make("relief", grid=(5, 5), size=size)
     valid = np.ones(lf.views.shape[:3], bool)

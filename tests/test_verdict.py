@@ -115,7 +115,13 @@ def by_batch(lf: LightField, given: tuple[float, float], folder: Path) -> Said:
 WAYS = (by_pipeline, by_tiles, by_all_views, by_viewer, by_command, by_command_for_all_views, by_batch)
 
 
-@pytest.mark.parametrize("fault", FAULTS)
+QUICK = ("none", "cameras askew and a small range", "no texture")
+"""Of each kind of sentence one, and none."""
+
+
+@pytest.mark.parametrize(
+    "fault", [pytest.param(name, marks=() if name in QUICK else pytest.mark.thorough) for name in FAULTS]
+)
 def test_all_ways_say_the_same_in_the_same_order(fault: str, tmp_path: Path) -> None:
     make, given, note, remark = FAULTS[fault]
     write_hci(make(), tmp_path / "lf")

@@ -82,14 +82,13 @@ def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     assert "darker" in sentence
 
 
-@pytest.mark.parametrize("irregular", [False, True])
 @pytest.mark.parametrize(
-    ("matrix", "signs"),
+    ("matrix", "signs", "irregular"),
     [
-        (((1, 0), (0, -1)), "v"),
-        (((-1, 0), (0, -1)), "uv"),
-        (((0, 1), (1, 0)), "transposed"),
-        (((0, 1), (-1, 0)), "turned"),
+        (((1, 0), (0, -1)), "v", False),
+        (((-1, 0), (0, -1)), "uv", True),
+        (((0, 1), (1, 0)), "transposed", False),
+        (((0, 1), (-1, 0)), "turned", True),
     ],
 )
 def test_wrong_signs_are_found(

@@ -61,7 +61,7 @@ def test_all_cameras_together_are_worth_it(boxes: LightField, how: str) -> None:
     assert worth_a_look(disturb(boxes, Misalignment.parse(how), seed=1).light_field, truth(boxes))
 
 
-@pytest.mark.parametrize("preset", ["fast", "accurate"])
+@pytest.mark.parametrize("preset", ["fast", pytest.param("accurate", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("matrix", [((1, 0), (0, -1)), ((-1, 0), (0, -1)), ((0, 1), (1, 0))])
 def test_wrong_axes_are_worth_it(
     boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], preset: str

@@ -293,6 +293,7 @@ def read_some(path: Path, command: list[Any], count: int) -> None:
             process.kill()
 
 
+@pytest.mark.thorough
 def test_a_producer_in_cpp(path: Path, tmp_path: Path) -> None:
     """As fast as it can: it is many times round the ring while one frame is read."""
     producer = compiled(tmp_path)
@@ -304,6 +305,7 @@ def test_a_producer_in_python(path: Path) -> None:
     read_some(path, [sys.executable, script, path, "3x3", "40x50", str(10**9), "0"], 300)
 
 
+@pytest.mark.thorough
 def test_the_header_is_c_as_well(tmp_path: Path) -> None:
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:

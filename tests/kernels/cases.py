@@ -7,12 +7,23 @@ may differ.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 FLOAT32_STEP = 2.0**-24  # half the distance of neighbouring float32 numbers around 1
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case of the matrix by its name, which its tests carry."""
+
+    name: str
+
+    def __str__(self) -> str:
+        return self.name.replace(" ", "-")
 
 
 def grid(rows: int, columns: int) -> tuple[tuple[float, float], ...]:

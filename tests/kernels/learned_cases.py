@@ -12,14 +12,10 @@ from lfgpu.contract import FOLD
 
 
 @dataclass(frozen=True)
-class Stored:
+class Stored(cases.Case):
     """A case whose volumes are `stored` as float32 or float16."""
 
-    name: str
     stored: str = "float32"
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
     @property
     def tolerance(self) -> float:

@@ -6,17 +6,16 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import coarse, float32, scale_of, stored
+from cases import Case, coarse, float32, scale_of, stored
 
 from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.structure_tensor import structure_filters
 
 
 @dataclass(frozen=True)
-class EpiCase:
+class EpiCase(Case):
     """EPIs of one line of views at `offsets`, with a true disparity around `shear`."""
 
-    name: str
     size: tuple[int, int] = (5, 24)
     channels: int = 3
     dtype: str = "float32"
@@ -24,9 +23,6 @@ class EpiCase:
     shear: float = 0.0
     floor: float = 1e-3
     tolerance: float = 1e-5
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 EPI_CASES = (
@@ -74,10 +70,9 @@ def epi_inputs(case: EpiCase, rng: np.random.Generator) -> SimpleNamespace:
 
 
 @dataclass(frozen=True)
-class CoherenceCase:
+class CoherenceCase(Case):
     """An estimate and the best so far; disparities and coherences that tie and lie on bounds as often as not."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     shear: float = 0.5
     reach: float = 1.0
@@ -86,9 +81,6 @@ class CoherenceCase:
     trusted: bool = True
     vertical: bool = False
     tolerance: float = 1e-6
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 COHERENCE_CASES = (

@@ -6,16 +6,15 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import float32
+from cases import Case, float32
 
 from lfgpu.contract import half_window
 
 
 @dataclass(frozen=True)
-class NlmCase:
+class NlmCase(Case):
     """An image and the window and patch of its weights."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     channels: int = 3
     window: int = 5
@@ -26,9 +25,6 @@ class NlmCase:
     over_patch: str = "mean"
     gradients: str = "central"
     tolerance: float = 1e-5
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 NLM_CASES = (

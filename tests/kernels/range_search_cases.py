@@ -10,13 +10,12 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class RangeSearchCase:
+class RangeSearchCase(cases.Case):
     """Views that are made smaller, and details that are compared.
 
     `lines` are the offsets (du, dv) of the views of each side of each line; the reference comes first of all views.
     """
 
-    name: str
     size: tuple[int, int] = (23, 31)
     channels: int = 3
     dtype: str = "uint8"
@@ -32,9 +31,6 @@ class RangeSearchCase:
     count: int = 9
     apart: int = 2
     tolerance: float = 1e-5
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 _DIAGONAL = ((((-1.0, -0.5), (-2.0, -1.0)), ((1.0, 0.5),)),)

@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import stored
+from cases import Case, stored
 
 
 @dataclass(frozen=True)
-class ResamplingCase:
+class ResamplingCase(Case):
     """`count` pictures of `size` stored as `dtype`, looked up up to `reach` pixels beside their pixels."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     out_size: tuple[int, int] = (11, 14)
     count: int = 3
@@ -23,9 +22,6 @@ class ResamplingCase:
     reach: float = 2.5
     tones: float = 0.2
     tolerance: float = 1e-5
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 RESAMPLING_CASES = (

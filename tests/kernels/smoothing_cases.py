@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import scale_of, stored
+from cases import Case, scale_of, stored
 
 from lfgpu.contract import REDUCTION, WHITE
 
@@ -15,10 +15,9 @@ STEP = 1 / WHITE
 
 
 @dataclass(frozen=True)
-class SmoothingCase:
+class SmoothingCase(Case):
     """`count` views of `size` stored as `dtype`, `gain` times as bright as they are, and what is alike in them."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     count: int = 3
     channels: int = 3
@@ -28,9 +27,6 @@ class SmoothingCase:
     gain: float = 1.0
     deviation: float = 0.05
     tolerance: float = STEP
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 SMOOTHING_CASES = (

@@ -8,24 +8,20 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from cases import float32
+from cases import Case, float32
 from numpy.typing import NDArray
 
 from lfgpu._backends import load
 
 
 @dataclass(frozen=True)
-class ResidualsCase:
+class ResidualsCase(Case):
     """The residuals that a linear solver finds one after the other, and when it is to stop."""
 
-    name: str
     norm: float = 2.5
     residuals: tuple[float, ...] = (2.5, 1.0, 0.125, 1e-3, 1e-6, 1e-9)
     tolerance: float = 1e-2
     most: int = 20
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 RESIDUALS_CASES = (
@@ -47,10 +43,9 @@ def residuals_inputs(case: ResidualsCase, rng: np.random.Generator) -> SimpleNam
 
 
 @dataclass(frozen=True)
-class LbfgsCase:
+class LbfgsCase(Case):
     """A function of a field within bounds, where a solver starts, and how many values it judges."""
 
-    name: str
     function: str = "quadratic"
     size: tuple[int, int] = (5, 6)
     bounds: tuple[float, float] = (-1.0, 1.0)
@@ -64,9 +59,6 @@ class LbfgsCase:
     curvature: bool = False
     """Whether the solver is told one for each pixel."""
     tolerance: float = 1e-4
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 LBFGS_CASES = (

@@ -114,14 +114,13 @@ def check_sufficient_decrease(kernels: KernelSet, device: str) -> None:
         np.testing.assert_allclose(kernels.numpy(x), -1.0 if accepted else 0.0, rtol=1e-6)
 
 
-def check_lbfgs_converges(
-    kernels: KernelSet, device: str, quadratic: Quadratic, start: Values, tolerance: float
-) -> None:
+def check_lbfgs_converges(kernels: KernelSet, device: str, quadratic: Quadratic, start: Values) -> None:
     """It finds the minimum within bounds of xᵀ A x / 2 - bᵀ x, where many bounds hold: no truth but the conditions.
 
     Those of Karush, Kuhn and Tucker: the gradient is 0 where x is between the bounds, and leads out of them elsewhere.
     """
     matrix, aim = quadratic
+    tolerance = 1e-5 if kernels.dtype is np.float64 else 1e-3
     low, high = -0.25, 0.5
     options = {"first_step": 0.05, "tolerance": 1e-14, "patience": 10, "most": 300}
     solver = kernels.lbfgs(start.shape, device, memory=8, low=low, high=high, **options)

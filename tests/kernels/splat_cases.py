@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import FLOAT32_STEP, IRREGULAR, coarse, float32, grid, scale_of, stored
+from cases import FLOAT32_STEP, IRREGULAR, Case, coarse, float32, grid, scale_of, stored
 
 
 @dataclass(frozen=True)
-class SplatCase:
+class SplatCase(Case):
     """A reference image, a disparity map in `disparities`, and views at `offsets` recorded as `dtype`."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     channels: int = 3
     dtype: str = "float32"
@@ -22,9 +21,6 @@ class SplatCase:
     masked: bool = False
     softness: float = 0.125
     exact: bool = True
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
     @property
     def tolerance(self) -> float:

@@ -10,8 +10,12 @@ from checks import Desk, Operation, Outputs, Values
 ROUNDED = 1e-3
 """What differs by more is not rounding: another motion was chosen."""
 
-DOUBTFUL = 0.02
-"""The share of pixels at which two motions fit so nearly alike that rounding decides between them."""
+DOUBTFUL = 2e-3
+"""The share of pixels at which two motions may fit so nearly alike that rounding decides between them.
+
+Changes are rounded by about 1e-6 of themselves, and one of nine is chosen: a pixel in 1e5, 0.1 of the largest frame.
+These are two pixels of a frame of 1,020.
+"""
 
 
 def motion(desk: Desk, i: SimpleNamespace) -> Outputs:

@@ -11,10 +11,9 @@ from numpy.typing import NDArray
 
 
 @dataclass(frozen=True)
-class SweepCase:
+class SweepCase(cases.Case):
     """Views at `offsets` recorded as `dtype`, a sweep over `count` disparities, and view_sets to one side each."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     channels: int = 3
     dtype: str = "uint8"
@@ -28,9 +27,6 @@ class SweepCase:
     softness: float = 0.05
     preference: float = 0.1
     least: int = 2
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
     @property
     def tolerance(self) -> float:

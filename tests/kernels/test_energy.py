@@ -12,7 +12,6 @@ import checks
 import nlm_cases
 import numpy as np
 import pytest
-import splat_cases
 import test_reference
 
 from lfgpu._backends import load
@@ -28,10 +27,9 @@ REFERENCE = load("reference")
 
 
 @dataclass(frozen=True)
-class EnergyCase:
+class EnergyCase(cases.Case):
     """A light field of random views at `offsets` from its reference, and a map in `disparities`."""
 
-    name: str
     size: tuple[int, int] = (6, 7)
     channels: int = 3
     dtype: str = "float32"
@@ -40,9 +38,6 @@ class EnergyCase:
     masked: bool = False
     detail_scale: float = 1.5
     rim: bool = False  # is compared too, although no pixel of the reference tells what it shows
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 ENERGY_CASES = (
@@ -169,11 +164,6 @@ def test_energy_of_another_light_field_is_that_of_a_fresh_one(target: Any, rng: 
 # --- the reference's terms against central differences and brute force ---
 
 
-def small_light_field(rng: np.random.Generator) -> LightField:
-    views = rng.integers(0, 256, (3, 3, 9, 10, 3), dtype=np.uint8)
-    return LightField.from_grid(views, valid=rng.random((9, 9, 10)) < 0.8)
-
-
 def prior_of(image: np.ndarray, config: PriorConfig) -> tuple[NonLocalMeans, Evaluate]:
     """The prior of an image in the reference, and R with its gradient 4 L v."""
     prior = NonLocalMeans(image.shape, config, Device(REFERENCE, "cpu"))
@@ -185,13 +175,6 @@ def prior_of(image: np.ndarray, config: PriorConfig) -> tuple[NonLocalMeans, Eva
         return 2 * REFERENCE.number(half), 4 * laplacian
 
     return prior, value_and_gradient
-
-
-def test_prior_has_its_gradient(rng: np.random.Generator) -> None:
-    _, value_and_gradient = prior_of(rng.random((9, 10, 3), np.float32), PriorConfig(window=5))
-    values = rng.normal(size=(9, 10))
-    want = test_reference.central_differences(lambda v: value_and_gradient(v)[0], values, rng)
-    test_reference.assert_gradient(value_and_gradient(values)[1], want)
 
 
 def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
@@ -206,14 +189,3 @@ def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
     np.testing.assert_allclose(prior.degree.ravel(), w.sum(1), rtol=1e-12)
     prior.mean(i.values.astype(float), means)
     np.testing.assert_allclose(means.ravel(), w @ v / w.sum(1), rtol=1e-12, atol=1e-14)
-
-
-@pytest.mark.parametrize("smoothness", [0.0, 0.1, 10.0])
-def test_energy_has_its_gradient(smoothness: float, rng: np.random.Generator) -> None:
-    lf, config = small_light_field(rng), RefinementConfig(smoothness=smoothness)
-    case = splat_cases.SplatCase("grid", size=lf.size, softness=config.softness, disparities=(-1.5, 1.5))
-    disparity = test_reference.away_from_joints(case, rng).disparity
-    inputs = SimpleNamespace(lf=lf, start=None, prior=PriorConfig(window=5), refinement=config)
-    energy = energy_of(REFERENCE, "cpu", inputs)
-    want = test_reference.central_differences(lambda d: energy(d)[0], disparity, rng)
-    test_reference.assert_gradient(energy(disparity)[1], want)

@@ -45,6 +45,7 @@ import view_cases
 import view_checks
 import volume_cases
 import volume_checks
+import without_truth
 from conftest import SEED
 
 from lfgpu import _backends
@@ -110,12 +111,6 @@ CELLS = [
     pytest.param(operation, case, id=f"{operation}-{case}")
     for operation in OPERATIONS
     for case in INPUTS[operation.inputs][0]
-]
-MASKED = [
-    pytest.param(operation, case, id=f"{operation}-{case}")
-    for operation in (splat_checks.DATA_TERM,)
-    for case in INPUTS[operation.inputs][0]
-    if case.masked
 ]
 
 
@@ -212,35 +207,9 @@ def test_errors_can_be_recorded() -> None:
     assert [type(error) for error in errors.values()] == [float]
 
 
-@pytest.mark.parametrize("case", nlm_cases.NLM_CASES, ids=str)
-def test_nlm_operators_are_symmetric_and_belong_together(
-    target: Any, case: nlm_cases.NlmCase, rng: np.random.Generator
-) -> None:
-    nlm_checks.check_nlm_symmetric(target.kernels, target.device, nlm_cases.nlm_inputs(case, rng))
-
-
-@pytest.mark.parametrize(("operation", "case"), MASKED)
-def test_masked_pixels_do_not_count(
-    target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
-) -> None:
-    inputs = INPUTS[operation.inputs][1](case, rng)
-    splat_checks.check_masked_pixels_do_not_count(target.kernels, target.device, inputs, operation)
-
-
-@pytest.mark.parametrize(("operation", "case"), MASKED)
-def test_masked_view_is_a_missing_view(
-    target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
-) -> None:
-    inputs = INPUTS[operation.inputs][1](case, rng)
-    splat_checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs, operation)
-
-
-@pytest.mark.parametrize(("operation", "case"), MASKED)
-def test_nothing_valid_is_nothing_at_all(
-    target: Any, operation: checks.Operation, case: splat_cases.SplatCase, rng: np.random.Generator
-) -> None:
-    inputs = INPUTS[operation.inputs][1](case, rng)
-    splat_checks.check_nothing_valid_is_nothing_at_all(target.kernels, target.device, inputs, operation)
+@pytest.mark.parametrize("check", without_truth.CHECKS, ids=str)
+def test_check_that_knows_no_truth(target: Any, check: without_truth.Check, rng: np.random.Generator) -> None:
+    check.run(target.kernels, target.device, *check.make(rng))
 
 
 def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Generator) -> None:
@@ -250,23 +219,11 @@ def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Gene
         assert not output.any(), name
 
 
-def test_dot_accumulates_in_float64(target: Any) -> None:
-    vector_checks.check_dot_in_double(target.kernels, target.device)
-
-
-def test_numbers_are_float64(target: Any) -> None:
-    vector_checks.check_numbers_in_double(target.kernels, target.device)
-
-
 def test_other_libraries_see_fields(target: Any) -> None:
     if target.device != "cpu":
         pytest.skip("tests/test_interop.py is about GPUs")
     if not vector_checks.check_shared(target.kernels, target.device):
         pytest.skip("this backend has no arrays that other libraries could take")
-
-
-def test_repeat_runs_its_body_as_often_as_it_should(target: Any) -> None:
-    programs.check_repeat(target.kernels, target.device)
 
 
 @pytest.mark.parametrize("make", PROGRAMS)
@@ -284,61 +241,9 @@ def test_captured_program_does_the_same_with_new_inputs(
         pytest.skip("this device cannot be given work as a whole")
 
 
-@pytest.mark.parametrize("size", [(6, 7), (1, 12)], ids=["map", "line"])
-def test_lbfgs_finds_the_minimum_within_bounds(target: Any, size: tuple[int, int], rng: np.random.Generator) -> None:
-    quadratic = solver_cases.quadratic(size[0] * size[1], rng)
-    tolerance = 1e-5 if target.kernels.dtype is np.float64 else 1e-3
-    solver_checks.check_lbfgs_converges(target.kernels, target.device, quadratic, rng.normal(size=size), tolerance)
-
-
-def test_a_step_is_accepted_from_armijos_share_on(target: Any) -> None:
-    solver_checks.check_sufficient_decrease(target.kernels, target.device)
-
-
 def test_devices_are_names_with_the_default_first(target: Any) -> None:
     devices = target.kernels.devices()
     assert target.device in devices
     assert "cpu" in devices
     assert len(set(devices)) == len(devices)
     assert target.kernels.name == target.backend
-
-
-def test_occlusions_are_safe_whatever_the_range(target: Any, rng: np.random.Generator) -> None:
-    case = occlusion_cases.OcclusionCase("far", size=(23, 26), disparities=(-50.0, 50.0), exact=False, sharpness=1000.0)
-    inputs = occlusion_cases.occlusion_inputs(case, rng)
-    occlusion_checks.check_safe_whatever_the_range(target.kernels, target.device, inputs)
-
-
-def test_front_hides_back(target: Any, rng: np.random.Generator) -> None:
-    inputs = occlusion_cases.occlusion_inputs(occlusion_cases.OcclusionCase("any"), rng)
-    occlusion_checks.check_front_hides_back(target.kernels, target.device, inputs)
-
-
-@pytest.mark.parametrize("channels", [1, 3])
-def test_step_of_the_alignment_leads_to_the_truth(target: Any, channels: int, rng: np.random.Generator) -> None:
-    alignment_checks.check_step_leads_to_the_truth(target.kernels, target.device, channels, rng)
-
-
-@pytest.mark.parametrize("case", alignment_cases.ALIGNMENT_CASES, ids=str)
-def test_what_no_view_sees_has_no_slope(
-    target: Any, case: alignment_cases.AlignmentCase, rng: np.random.Generator
-) -> None:
-    inputs = alignment_cases.alignment_inputs(case, rng)
-    alignment_checks.check_what_no_view_sees_has_no_slope(target.kernels, target.device, inputs)
-
-
-MASKED_SWEEPS = [case for case in sweep_cases.SWEEP_CASES if case.masked][:4]
-
-
-@pytest.mark.parametrize("case", MASKED_SWEEPS, ids=str)
-def test_view_that_is_not_valid_has_no_part_in_a_sweep(
-    target: Any, case: sweep_cases.SweepCase, rng: np.random.Generator
-) -> None:
-    inputs = sweep_cases.sweep_inputs(case, rng)
-    sweep_checks.check_masked_view_is_a_missing_view(target.kernels, target.device, inputs)
-    sweep_checks.check_nothing_valid_costs_the_most(target.kernels, target.device, inputs)
-
-
-def test_a_side_that_sees_is_enough(target: Any, rng: np.random.Generator) -> None:
-    inputs = sweep_cases.sweep_inputs(sweep_cases.SweepCase("any"), rng)
-    sweep_checks.check_a_side_that_sees_is_enough(target.kernels, target.device, inputs)

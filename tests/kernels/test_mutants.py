@@ -5,30 +5,19 @@ from __future__ import annotations
 import importlib
 import pkgutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import cache
 from types import ModuleType
 from typing import Any
 
-import alignment_cases
-import alignment_checks
 import checks
 import mutants
-import nlm_cases
-import nlm_checks
 import numpy as np
-import occlusion_cases
-import occlusion_checks
 import pytest
-import smoothing_checks
-import solver_cases
-import solver_checks
-import splat_cases
-import splat_checks
-import sweep_cases
-import sweep_checks
 import test_energy
+from test_energy import ENERGY_CASES
 from test_matrix import CELLS, INPUTS
+from without_truth import CHECKS, Check
 
 from lfgpu._backends import load
 from lfgpu.kernels import reference
@@ -112,80 +101,21 @@ def test_every_mutant_fails_a_cell_of_the_matrix(name: str) -> None:
     assert len(passed) == SAME.get(name, 0), passed
 
 
-SPLAT = splat_cases.SplatCase("splat", offsets=splat_cases.IRREGULAR, masked=True, dtype="uint8")
-OCCLUSION = occlusion_cases.OcclusionCase("any", offsets=splat_cases.IRREGULAR, masked=True, disparities=(-3.0, 3.0))
-FAR = occlusion_cases.OcclusionCase("far", size=(23, 26), disparities=(-50.0, 50.0), exact=False, sharpness=1000.0)
-SWEEP = sweep_cases.SweepCase("any", offsets=splat_cases.IRREGULAR, masked=True, least=2)
-ALIGNMENT = alignment_cases.AlignmentCase("any", offsets=splat_cases.IRREGULAR, masked=True, dtype="uint8")
-WITHOUT_TRUTH: tuple[tuple[str, Callable[..., Any], Callable[[np.random.Generator], tuple[Any, ...]]], ...] = (
-    *(
-        ("splat", check, lambda rng: (splat_cases.splat_inputs(SPLAT, rng), splat_checks.DATA_TERM))
-        for check in (
-            splat_checks.check_masked_pixels_do_not_count,
-            splat_checks.check_masked_view_is_a_missing_view,
-            splat_checks.check_nothing_valid_is_nothing_at_all,
-        )
-    ),
-    ("nlm", nlm_checks.check_nlm_symmetric, lambda rng: (nlm_cases.nlm_inputs(nlm_cases.NlmCase("nlm"), rng),)),
-    (
-        "occlusion",
-        occlusion_checks.check_front_hides_back,
-        lambda rng: (occlusion_cases.occlusion_inputs(OCCLUSION, rng),),
-    ),
-    (
-        "occlusion",
-        occlusion_checks.check_safe_whatever_the_range,
-        lambda rng: (occlusion_cases.occlusion_inputs(FAR, rng),),
-    ),
-    ("alignment", alignment_checks.check_step_leads_to_the_truth, lambda rng: (3, rng)),
-    (
-        "alignment",
-        alignment_checks.check_what_no_view_sees_has_no_slope,
-        lambda rng: (alignment_cases.alignment_inputs(ALIGNMENT, rng),),
-    ),
-    *(
-        ("plane_sweep", check, lambda rng: (sweep_cases.sweep_inputs(SWEEP, rng),))
-        for check in (
-            sweep_checks.check_masked_view_is_a_missing_view,
-            sweep_checks.check_nothing_valid_costs_the_most,
-            sweep_checks.check_a_side_that_sees_is_enough,
-        )
-    ),
-    ("smoothing", smoothing_checks.check_constant_stays, lambda rng: ()),
-    ("smoothing", smoothing_checks.check_edge_stays, lambda rng: ()),
-    ("smoothing", smoothing_checks.check_noise_falls, lambda rng: (rng,)),
-    ("smoothing", smoothing_checks.check_regions_stay_apart, lambda rng: (rng,)),
-    ("smoothing", smoothing_checks.check_masked_pixels_say_nothing, lambda rng: (rng,)),
-    ("smoothing", smoothing_checks.check_channels_are_alike_together, lambda rng: (rng,)),
-    *(
-        (
-            module,
-            test_energy.check_energy,
-            lambda rng: (test_energy.energy_inputs(test_energy.ENERGY_CASES[0], rng), 1e-5),
-        )
-        for module in ("splat", "nlm")
-    ),
-    ("lbfgs", solver_checks.check_sufficient_decrease, lambda rng: ()),
-    (
-        "lbfgs",
-        solver_checks.check_lbfgs_converges,
-        lambda rng: (solver_cases.quadratic(42, rng), rng.normal(size=(6, 7)), 1e-5),
-    ),
-)
-"""Checks that need no truth: a module, the check, and what it takes besides the backend and the device."""
+ENERGIES = [
+    Check(module, test_energy.check_energy, module, lambda rng: (test_energy.energy_inputs(ENERGY_CASES[0], rng), 1e-5))
+    for module in ("splat", "nlm")
+]
+WITHOUT_TRUTH = {check.run: check for check in reversed(CHECKS) if check.module}
+"""Of each check the first case."""
 
 
-@pytest.mark.parametrize(
-    ("name", "check", "make"),
-    WITHOUT_TRUTH,
-    ids=lambda value: getattr(value, "__name__", value) if value is not None else "",
-)
-def test_a_check_without_truth_notices_mutants(name: str, check: Callable[..., Any], make: Callable[..., Any]) -> None:
-    check(REFERENCE, "cpu", *make(np.random.default_rng(0)))
-    for mutant in mutants.mutants(module_of(name)):
+@pytest.mark.parametrize("check", [*WITHOUT_TRUTH.values(), *ENERGIES], ids=str)
+def test_a_check_without_truth_notices_mutants(check: Check) -> None:
+    check.run(REFERENCE, "cpu", *check.make(np.random.default_rng(0)))
+    for mutant in mutants.mutants(module_of(check.module)):
         with mutant.at_work(), np.errstate(all="ignore"):
             try:
-                check(REFERENCE, "cpu", *make(np.random.default_rng(0)))
+                check.run(REFERENCE, "cpu", *check.make(np.random.default_rng(0)))
             except AssertionError:
                 return
             except Exception:  # a mutant that cannot run says nothing about the check

@@ -89,6 +89,7 @@ def each_module() -> dict[str, Any]:
     return found
 
 
+@pytest.mark.thorough
 def test_gpu_kernels_compile(tmp_path: Path) -> None:
     wp.init()
     for module in each_module().values():

@@ -2,33 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 import solver_cases
-from lfgpu.kernels.reference.lbfgs import projected_gradient
-from scipy.optimize import lsq_linear, minimize
 from test_reference import REFERENCE
-
-
-def minimized(
-    function: solver_cases.Function, start: np.ndarray, bounds: tuple[float, float], **options: Any
-) -> tuple[np.ndarray, list[float]]:
-    """The minimum that L-BFGS finds within `bounds`, and its trace."""
-    low, high = bounds
-    given = {"memory": 8, "first_step": 0.05, "tolerance": 1e-15, "patience": 10, "most": 500, **options}
-    solver = REFERENCE.lbfgs(start.shape, "cpu", low=low, high=high, **given)
-    x, trial = start.clip(low, high), np.empty_like(start)
-    first, gradient = function(x)
-    value = np.array([first])
-    solver.begin(x, gradient, value)
-    while solver.go_on[0]:
-        solver.propose(x, trial)
-        trial_value, trial_gradient = function(trial)
-        solver.judge(value, np.array([trial_value]))
-        solver.learn(x, gradient, trial, trial_gradient)
-    return x, solver.report()[0]
 
 
 def quadratic_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, solver_cases.Function]:
@@ -40,43 +17,6 @@ def quadratic_of(count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.n
         return float(x.ravel() @ (gradient - aim)) / 2, gradient.reshape(x.shape)
 
     return matrix, aim, function
-
-
-def test_lbfgs_finds_the_minimum_of_a_quadratic_within_bounds(rng: np.random.Generator) -> None:
-    matrix, aim, function = quadratic_of(30, rng)
-    start = rng.normal(size=(5, 6))
-    root = np.linalg.cholesky(matrix)  # ‖Rᵀ x - R⁻¹ b‖² = xᵀ A x - 2 bᵀ x + a constant
-    want = lsq_linear(root.T, np.linalg.solve(root, aim), bounds=(-0.25, 0.5), method="bvls").x
-    found, trace = minimized(function, start, (-0.25, 0.5))
-    assert ((want == -0.25) | (want == 0.5)).mean() > 0.1
-    np.testing.assert_allclose(found.ravel(), want, rtol=0, atol=1e-6)
-    assert (np.diff(trace) <= 0).all()
-
-
-def test_lbfgs_finds_the_minimum_of_a_quadratic_without_bounds(rng: np.random.Generator) -> None:
-    matrix, aim, function = quadratic_of(30, rng)
-    found, trace = minimized(function, rng.normal(size=(5, 6)), (-100.0, 100.0))
-    np.testing.assert_allclose(found.ravel(), np.linalg.solve(matrix, aim), rtol=0, atol=1e-6)
-    assert len(trace) < 100
-
-
-def test_lbfgs_is_about_as_fast_as_scipy_in_a_curved_valley() -> None:
-    case = solver_cases.LbfgsCase("valley", function="rosenbrock", size=(2, 3), bounds=(-2.0, 2.0))
-    function = solver_cases.bounded_function(case, np.random.default_rng(0))
-    start = np.full(case.size, -1.25)
-    found, trace = minimized(function, start, case.bounds)
-    want = minimize(
-        lambda x: (function(x.reshape(case.size))[0], function(x.reshape(case.size))[1].ravel()),
-        start.ravel(),
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[case.bounds] * 6,
-        options={"ftol": 1e-14, "gtol": 1e-9},
-    )
-    value, gradient = function(found)
-    assert np.abs(projected_gradient(found, gradient, *case.bounds)).max() < 1e-4
-    assert value <= want.fun + 1e-6
-    assert len(trace) < 3 * want.nit + 20
 
 
 def test_lbfgs_direction_is_that_of_the_dense_update(rng: np.random.Generator) -> None:

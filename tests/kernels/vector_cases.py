@@ -6,19 +6,15 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import float32
+from cases import Case, float32
 
 
 @dataclass(frozen=True)
-class VectorCase:
+class VectorCase(Case):
     """Fields of one shape."""
 
-    name: str
     shape: tuple[int, ...]
     tolerance: float = 1e-6
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
 
 VECTOR_CASES = (

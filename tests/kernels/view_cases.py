@@ -6,14 +6,13 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from cases import float32, scale_of, stored
+from cases import Case, float32, scale_of, stored
 
 
 @dataclass(frozen=True)
-class ViewsCase:
+class ViewsCase(Case):
     """`count` views stored as `dtype`, of which a line is taken, and what their normalisation is stored as."""
 
-    name: str
     size: tuple[int, int] = (11, 14)
     count: int = 3
     channels: int = 3
@@ -25,9 +24,6 @@ class ViewsCase:
     floor: float = 0.05
     line: tuple[int, ...] = (2, 0)
     vertical: bool = False
-
-    def __str__(self) -> str:
-        return self.name.replace(" ", "-")
 
     @property
     def tolerance(self) -> float:
