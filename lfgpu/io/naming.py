@@ -187,7 +187,7 @@ def understood(names: Sequence[Name]) -> Naming:
 
 def _word(before: str, *, first: bool) -> str:
     """Return the word before a number, in lower case; "/" where it begins the name of a file in a folder."""
-    if before.strip().lower() == "x" and not first:  # 3x4: three by four
+    if before.strip().lower() == "x" and before == before[::-1] and not first:  # 3x4, 3 x 4: three by four
         return ""
     found = _WORD.findall(before.rsplit("/", 1)[-1])
     return str(found[-1]).lower() if found else "/" * ("/" in before)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import Misalignment, disturb
+from lfgpu.cameras.trust import _spread
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
@@ -118,6 +120,19 @@ def test_estimate_depth_looks_and_the_pipeline_does_not(planes: LightField, memo
     assert before.remarks == ()
     assert said(found) < said(before) - 0.1
     np.testing.assert_array_equal(found.disparity, before.disparity)
+
+
+def test_the_spread_is_how_far_each_view_moves_a_pixel(planes: LightField, rng: np.random.Generator) -> None:
+    """Shift, turn (from x to y) and scale of each view as a matrix, applied to pixels of a corner and of the middle."""
+    count, used = len(planes.views), [0, 4, 7, 20]
+    shift, turn, scale = rng.normal(0, 0.5, (count, 2)), rng.normal(0, 0.01, count), rng.normal(0, 0.01, count)
+    found = SimpleNamespace(shift=shift, rotation=np.rad2deg(turn), scale=scale)
+    spread = _spread(planes, found, used)  # type: ignore[arg-type]
+    moving = np.array([[scale, -turn, shift[:, 0]], [turn, scale, shift[:, 1]]]).transpose(2, 0, 1)
+    for y, x in ((0, 0), (127, 5), (64, 72), (3, 140)):
+        moved = moving @ np.array([x - 143 / 2, y - 127 / 2, 1.0])
+        want = np.sqrt((moved**2).sum(1).mean() / (planes.offsets[used] ** 2).sum())
+        np.testing.assert_allclose(spread[y, x], want, rtol=1e-5)
 
 
 def test_a_map_that_says_nothing_of_the_cameras_is_a_result_all_the_same() -> None:

@@ -183,7 +183,10 @@ def test_left_and_right_and_distances(true: LightField, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path / "video", pattern="{u}_{t}.png", frame=1).views, row.views[:2])
     for index, (v, u) in enumerate(np.ndindex(3, 4)):
         save(tmp_path / "distances" / f"y{25 * v}_x{25 * u + 1}.png", true.views[index])
-    np.testing.assert_array_equal(read(tmp_path / "distances").offsets, true.offsets)
+        save(tmp_path / "beside" / f"take2 x{25 * u} y{25 * v}.png", true.views[index])
+    for name in ("distances", "beside"):
+        np.testing.assert_array_equal(read(tmp_path / name).view(1, 2), true.view(1, 2))
+        assert read(tmp_path / name).grid_shape == (3, 4)
 
 
 def test_an_alpha_channel_among_views(true: LightField, tmp_path: Path) -> None:
