@@ -12,6 +12,7 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections import deque
@@ -419,10 +420,15 @@ def test_others_on_the_machine_do_not_reach_a_local_cluster() -> None:
     with local() as cluster:
         address = cluster.client.scheduler.address
         assert address.startswith("tls://127.0.0.1:")
+        (worker,) = cluster.client.scheduler_info()["workers"].values()
+        shared = Path(tempfile.gettempdir())
+        folder = shared / Path(worker["local_directory"]).relative_to(shared).parts[0]
+        assert folder.stat().st_mode & 0o077 == 0  # workers import from it
         for tried, security in ((address.replace("tls", "tcp"), None), (address, Security.temporary())):
             with pytest.raises(OSError, match=r".") as refused:
                 Client(tried, security=security, timeout=3)
             assert "TimeoutError" in repr(refused) or isinstance(refused.value, OSError)
+    assert not folder.exists()
 
 
 def test_a_worker_that_is_killed_while_the_cluster_starts_is_no_traceback(

@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any
 
@@ -124,6 +125,11 @@ class Cluster:
             "distributed.worker.http.routes": [],
             "distributed.deploy.lost-worker-timeout": "1 hour",  # a busy machine needs long to start a new worker
         }
+        if self._scheduler is None:
+            # Dask's own folder has one name for all users of a machine, and Python imports from it.
+            place = dask.config.get("temporary-directory", None)
+            folder = TemporaryDirectory(prefix="lfgpu-", dir=place, ignore_cleanup_errors=True)
+            settings["temporary-directory"] = self._stack.enter_context(folder)
         self._stack.enter_context(dask.config.set(settings))
         if self._scheduler is None:
             self._start()

@@ -259,7 +259,7 @@ def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
             seen, steps = found.vectors / long, steps / long
             along = (seen * steps).sum(0) / np.maximum((steps**2).sum(0), 1e-12)
             options = f"--grid {shape[0]}x{shape[1]}" + f" --order {order}" * (order != ORDERS[0])
-            if (seen * steps * along < -_AGAINST * along**2).any():  # another step than all others of its kind
+            if (seen * steps * along < -_AGAINST * (along * steps) ** 2).any():  # against all others of its kind
                 continue
             options += " --flip v" * bool(along[0] * along[1] < 0)
             scores[options] = 1 - float(((seen - along * steps) ** 2).sum() / (seen**2).sum())
