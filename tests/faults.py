@@ -526,6 +526,48 @@ FAULTS = (
         "(turn * shift[:, 1]).mean() + y *",
         ("tests/calibration/test_trust.py", "-k", "spread"),
     ),
+    Fault(
+        "dim views made dimmer before it is asked what hides what",
+        "lfgpu/cameras/signs.py",
+        "brighter * shown",
+        "shown / brighter",
+        ("tests/calibration/test_judge.py", "-k", "order_of_depth"),
+    ),
+    Fault(
+        "views that stand out by less than their errors",
+        "lfgpu/cameras/consensus.py",
+        "_FACTOR * np.maximum(usual, np.linalg.norm(errors, axis=1))",
+        "_FACTOR * usual",
+        ("tests/calibration/test_judge.py", "-k", "rim"),
+    ),
+    Fault(
+        "the gain of a view on its offset, too",
+        "lfgpu/calibration/misalign.py",
+        "* view + offset[n]",
+        "* (view + offset[n])",
+        ("tests/calibration/test_misalign.py", "-k", "told"),
+    ),
+    Fault(
+        "the depth of a camera behind its plane in the place of one before it",
+        "lfgpu/calibration/rectify.py",
+        "- rig.ahead[index]) / along",
+        "+ rig.ahead[index]) / along",
+        ("tests/calibration/test_original_depth.py", "-k", "as_it_was"),
+    ),
+    Fault(
+        "depths of the scene in metres beside a calibration in millimetres",
+        "lfgpu/calibration/rectify.py",
+        "depths = (UNITS[unit] * depths[0], UNITS[unit] * depths[1])",
+        "depths = (depths[0], depths[1])",
+        ("tests/calibration/test_original_depth.py", "-k", "unit"),
+    ),
+    Fault(
+        "what hides a point looked for on its other side",
+        "lfgpu/cameras/points.py",
+        "columns = np.rint(x + steps * du)",
+        "columns = np.rint(x - steps * du)",
+        ("tests/calibration/test_screening.py", "-k", "hidden"),
+    ),
 )
 
 

@@ -149,6 +149,15 @@ def test_an_outline_that_the_map_has_wrong_says_nothing_of_signs() -> None:
     assert not near_and_far_swapped(lf, wrong)
 
 
+def test_the_order_of_depth_does_not_depend_on_how_bright_the_views_are(boxes: LightField) -> None:
+    dark = boxes.views // 2
+    dark[boxes.reference_index] = boxes.views[boxes.reference_index]
+    bright, dim = (order_of_depth(lf, truth(boxes), views=8) for lf in (boxes, replace(boxes, views=dark)))
+    assert bright.told == dim.told
+    assert bright.near.sum() < 0.5 * bright.far.sum()
+    np.testing.assert_allclose([dim.near.sum(), dim.far.sum()], [bright.near.sum(), bright.far.sum()], rtol=0.1)
+
+
 def test_points_that_no_disparity_explains_count_less() -> None:
     """The map takes what is behind thin bars for what is in front: their points move otherwise."""
     lf = scenes.make("bars", grid=(5, 5), size=(160, 160), seed=3, noise=0.02)
@@ -254,3 +263,5 @@ def test_views_from_the_rim_are_held_against_each_other(rng: np.random.Generator
         moved = shifts.copy()
         moved[index] += (0.14, -0.14)
         assert np.flatnonzero(outliers(moved, offsets, errors, least=0.1)).tolist() == [index]
+        unsure = np.where(np.arange(81)[:, None] == index, 0.1, errors)
+        assert not outliers(moved, offsets, unsure, least=0.1).any()

@@ -51,6 +51,15 @@ def test_a_turn_moves_the_picture_by_as_many_pixels(boxes: LightField) -> None:
     assert explained.misalignment > 0.3
 
 
+def test_gain_and_offset_are_those_that_are_told(boxes: LightField) -> None:
+    found = disturb(boxes, Misalignment(gain=0.1, offset=0.05), seed=4)
+    for n, view in enumerate(found.light_field.views):
+        want = np.clip(np.rint(boxes.views[n] * found.gain[n] + 255 * found.offset[n]), 0, 255)
+        assert np.abs(view - want).max() <= 1
+    assert np.abs(found.gain - 1).max() > 0.1
+    assert np.abs(found.offset).max() > 0.05
+
+
 def test_the_seed_decides_and_the_reference_stays(boxes: LightField) -> None:
     how = Misalignment(shift=0.5, roll=0.1, scale=0.01, distortion=0.05, gain=0.1, offset=0.02, vignetting=0.3)
     once, again, other = (disturb(boxes, how, seed=seed).light_field.views for seed in (1, 1, 2))

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from lfgpu.calibration import Camera, rectify
+from lfgpu.calibration import Camera, rectify, write_cameras
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.formats import Calibration
 from lfgpu.calibration.resample import pixels
@@ -69,6 +70,21 @@ def test_a_plane_is_found_in_the_picture_as_it_was(ahead: float, close: float, i
     there = np.isfinite(depth)
     assert 0.6 < there.mean() < 0.97
     np.testing.assert_allclose(depth[there], depth_of_the_plane(cameras[index])[there], rtol=close)
+    assert abs(np.median(depth[there] / depth_of_the_plane(cameras[index])[there]) - 1) < 5e-4
+
+
+def test_depths_are_in_the_unit_of_the_calibration(rng: np.random.Generator, tmp_path: Path) -> None:
+    cameras = rig(rng, ahead=0.001)
+    views = rng.integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
+    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
+    far = [replace(camera, translation=1000 * np.asarray(camera.translation)) for camera in cameras]
+    write_cameras(far, tmp_path / "cameras.toml")
+    found = rectify(pictures, calibration=tmp_path / "cameras.toml", unit="mm", depths=(1500, 2500))
+    want = rectify(pictures, calibration=Calibration(tuple(cameras), "rig", "lfgpu"), depths=(1.5, 2.5))
+    assert found.disparity_range == pytest.approx(want.disparity_range)
+    assert found.rig is not None
+    assert want.rig is not None
+    assert found.rig.corrected_at == pytest.approx(want.rig.corrected_at)
 
 
 def test_without_a_calibration_there_is_no_original(rng: np.random.Generator) -> None:

@@ -86,3 +86,20 @@ def test_no_look_is_taken_where_none_is_worth_it(boxes: LightField, monkeypatch:
     moved = with_view(boxes, 3, lambda image: np.roll(image, 1, axis=1))
     judged(moved, result, device="cpu")
     assert len(looks) == 1
+
+
+@pytest.mark.parametrize("index", [0, 3, 22])
+def test_what_is_hidden_lands_where_something_nearer_lands(boxes: LightField, index: int) -> None:
+    """Against a z-buffer: the nearest of all pixels of the reference that land beside a point."""
+    map_, (du, dv) = truth(boxes), boxes.offsets[index]
+    height, width = boxes.size
+    y, x = (grid.ravel() for grid in np.mgrid[8 : height - 8 : 3, 8 : width - 8 : 3])
+    rows, columns = np.mgrid[:height, :width]
+    at_x, at_y = columns - map_ * du, rows - map_ * dv
+    want = []
+    for row, column in zip(y, x, strict=True):
+        lands = (np.abs(at_x - at_x[row, column]) < 0.5) & (np.abs(at_y - at_y[row, column]) < 0.5)
+        want.append(map_[lands].max() - map_[row, column] > 1.2 / np.hypot(*boxes.offsets.T).max())
+    found = points.hidden(boxes, map_, y, x, index)
+    assert 0.01 < np.mean(want) < 0.5
+    assert (found == np.array(want)).mean() > 0.98
