@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lowest lint docs figures gpu-parity bench clean
+.PHONY: demo test test-all lowest training lint docs figures gpu-parity bench clean
 
 demo: .venv/use
 	$(BIN)/lfgpu demo
@@ -33,6 +33,13 @@ lowest:
 		tests/calibration/test_calibration_formats.py tests/test_batch_items.py tests/test_batch_manifest.py \
 		tests/test_stream.py tests/test_stream_frames.py tests/test_doctor.py tests/viewer/test_guard.py
 
+# What needs PyTorch: the generator, the network, and `lfgpu train` from a light field to weights.
+training:
+	$(PYTHON) -m venv .venv-training
+	.venv-training/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt \
+		-e ".[train]" pytest hypothesis
+	.venv-training/bin/python -m pytest tests/training tests/test_learned.py
+
 lint: .venv/develop
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -52,7 +59,7 @@ bench: .venv/develop
 	$(BIN)/python -m benchmarks
 
 clean:
-	rm -rf .venv .venv-lowest build dist docs/made lfgpu-demo
+	rm -rf .venv .venv-lowest .venv-training build dist docs/made lfgpu-demo
 
 .venv/bin/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "lfgpu needs Python 3.11 or newer; name one with: make PYTHON=/path/to/python3.12 ...")'
