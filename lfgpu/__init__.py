@@ -17,7 +17,7 @@ from lfgpu.data import hooks as _hooks
 
 if TYPE_CHECKING:
     from lfgpu._backends import BackendInfo, describe_backends, list_backends
-    from lfgpu.cameras import Explanation, explain
+    from lfgpu.cameras import Explanation, Reason, explain, reasons
     from lfgpu.config import Config
     from lfgpu.data.filling import fill_unknown
     from lfgpu.data.geometry import Geometry
@@ -69,6 +69,7 @@ _HOMES = {
     "LightFieldError": "errors",
     "PRESETS": "methods",
     "PointCloud": "data.points",
+    "Reason": "cameras",
     "Rectifier": "pipelines.rectifier",
     "RenderedView": "viz.rendering",
     "Renderer": "viz.rendering",
@@ -91,6 +92,7 @@ _HOMES = {
     "load": "io",
     "point_cloud": "data.points",
     "read": "io",
+    "reasons": "cameras",
     "refocus": "viz.refocusing",
     "render_view": "viz.rendering",
     "save": "io",
@@ -119,6 +121,7 @@ __all__ = [
     "LightField",
     "LightFieldError",
     "PointCloud",
+    "Reason",
     "Rectifier",
     "RenderedView",
     "Renderer",
@@ -141,6 +144,7 @@ __all__ = [
     "load",
     "point_cloud",
     "read",
+    "reasons",
     "refocus",
     "render_view",
     "save",

@@ -2,6 +2,7 @@
 
 from lfgpu.cameras.explanation import Explanation, explain, residual_pictures
 from lfgpu.cameras.looking import Budget, Look, look
+from lfgpu.cameras.reasons import Reason, reasons
 from lfgpu.cameras.trust import trusted
 
-__all__ = ["Budget", "Explanation", "Look", "explain", "look", "residual_pictures", "trusted"]
+__all__ = ["Budget", "Explanation", "Look", "Reason", "explain", "look", "reasons", "residual_pictures", "trusted"]

@@ -214,7 +214,7 @@ def test_the_command_fits_weights_in_pieces(tmp_path: Path) -> None:
     lines = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
     assert [(line["step"], "unseen" in line) for line in lines] == [(0, True), (2, False), (2, True)]
     assert estimate_depth(lf, weights=out).config.weights.startswith("weights.npz")
-    refused(lfgpu(*command, "--seed", 1), "holds a run with other settings (seed: 0, now 1)")
+    refused(lfgpu(*command, "--seed", 1, "--quiet"), "holds a run with other settings (seed: 0, now 1)")
 
 
 def test_two_processes_learn_the_same(tmp_path: Path) -> None:
