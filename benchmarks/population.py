@@ -91,6 +91,8 @@ def run(
     configs: Mapping[str, Config],
     ranges: Sequence[str],
     draw: Callable[[Scene], object] = lambda _: None,
+    *,
+    check_cameras: bool = True,
 ) -> Run:
     """Estimate each light field with each configuration and range; `draw` is given each scene with its maps.
 
@@ -111,16 +113,18 @@ def run(
             scoring.load_kernels(config)
             for given in ranges:
                 say(f"{scene}: {preset}, range {given}")
-                records.append(_measured(picture, lf, truth, preset, config, given))
+                records.append(_measured(picture, lf, truth, preset, config, given, check_cameras))
         draw(picture)
     return replace(begun, records=records)
 
 
-def _measured(picture: Scene, lf: LightField, truth: GroundTruth, preset: str, config: Config, given: str) -> Record:
+def _measured(
+    picture: Scene, lf: LightField, truth: GroundTruth, preset: str, config: Config, given: str, check_cameras: bool
+) -> Record:
     scene, name, (low, high) = picture.name, f"{preset}, range {given}", scoring.true_range(lf, margin=0)
     bounds = None if given == FOUND else scoring.true_range(lf)
     try:
-        result = estimate_depth(lf, config=config, disparity_range=bounds)
+        result = estimate_depth(lf, config=config, disparity_range=bounds, check_cameras=check_cameras)
     except LfgpuError as error:
         return Record(KIND, "", "", scene, name, failed=str(error))
     picture.maps[name] = result.disparity
