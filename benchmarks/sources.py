@@ -17,6 +17,7 @@ _CAMERAS = ("lfgpu/calibration", "lfgpu/cameras", "kernels/warp")
 SOURCES: Mapping[str, tuple[str, ...]] = {
     "ablation": (*_MAPS, "lfgpu/scenes"),
     "batches": (*_STREAMS, "lfgpu/batch", "lfgpu/io"),
+    "call": (*_STREAMS, "lfgpu/cameras"),
     "confidence": (*_MAPS, "lfgpu/cameras"),
     "flicker": _STREAMS,
     "gpu_parity": ("kernels", "lfgpu/contract", "lfgpu/methods", "lfgpu/solvers", "tests/kernels"),

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import lfgpu
+from benchmarks import call
 from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
@@ -165,3 +166,12 @@ def test_a_pipeline_takes_another_light_field() -> None:
     pipeline.take(first, measured=pipeline.measured)
     measured = DepthPipeline(first, config="fast", device="cpu", measured=pipeline.measured)
     assert_equal(pipeline.estimate(), measured.estimate())
+
+
+def test_the_benchmark_of_calls_compares_maps_and_times_parts() -> None:
+    rows = list(call.run(["fast"], "cpu", side=48, views=3))
+    assert [row["call"] for row in rows] == ["first", "same", "third", "other scene", "first again"]
+    assert all(row["same map"] for row in rows)
+    assert ["take" in row for row in rows] == [False, True, True, True, True]
+    assert ["plan" in row for row in rows] == [True, False, False, True, True]
+    assert len(call.table(rows).rows) == len(rows)

@@ -23,6 +23,7 @@ from lfgpu.cameras.tones import match_tones
 from lfgpu.contract import Device, Float64Array
 from lfgpu.data.light_field_checks import array_of_numbers
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import eroded, smoothed
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 
@@ -126,7 +127,8 @@ def _look_without_map(lf: LightField, device: Device) -> Look | None:
     """Look at all cameras together, with disparities from a plane sweep; about a second, whatever the size."""
     part, _ = part_of(lf, views=_SEEN, pixels=_SEEN_PIXELS)
     known = np.ones(part.size, np.bool_) if part.valid is None else part.valid[part.reference_index]
-    y, x, tile = textured(part, known, _POINTS)
+    image = smoothed(grey(part, part.reference_index), 0.7)
+    y, x, tile = textured(image, eroded(known, 3), _POINTS)
     if not len(x):
         return None
     try:

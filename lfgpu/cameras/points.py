@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ _TOLERANCE = 1.2  # pixels in the farthest view: a surface that is nearer by les
 _TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
 _LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
 _EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
+_BLOCK = 16  # pixels: side of the blocks in which nearer surfaces are looked for first
 _AT_ONCE = 16  # views whose visibility is computed together
 
 
@@ -83,16 +86,35 @@ def on_surfaces(
     far = float(np.nanmin(disparity)) if known.any() else 0.0
     map_ = np.where(known, disparity, far).astype(np.float32)
     smooth = window_max(map_, 5) - window_min(map_, 5) <= _EDGE / farthest(lf)
-    return map_, *textured(lf, known, most, beside=smooth)
+    return map_, *textured(smoothed(grey(lf, lf.reference_index), 0.7), eroded(known, 3) & smooth, most)
+
+
+def some_on_surfaces(
+    lf: LightField, disparity: NDArray[np.floating], most: int
+) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]:
+    """Choose points as `on_surfaces` does, on every other row and column only: the map, rows, columns."""
+    known, image = known_pixels(lf, disparity), grey(lf, lf.reference_index)
+    far = float(np.nanmin(disparity)) if known.any() else 0.0
+    map_ = np.where(known, disparity, far).astype(np.float32)
+    height, width = (side // 2 * 2 for side in lf.size)
+
+    def of_four(join: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
+        """Join each 2 x 2 pixels."""
+        return reduce(join, (values[i:height:2, j:width:2] for i, j in np.ndindex(2, 2)))
+
+    spread = window_max(of_four(np.maximum, map_), 3) - window_min(of_four(np.minimum, map_), 3)
+    usable = eroded(of_four(np.logical_and, known), 2) & (spread <= _EDGE / farthest(lf))
+    halved = np.asarray(of_four(np.add, image) / 8, np.float32)  # so that gradients are per pixel of the whole image
+    y, x, _ = textured(halved, usable, most)
+    return map_, 2 * y, 2 * x
 
 
 def textured(
-    lf: LightField, known: NDArray[np.bool_], most: int, *, beside: NDArray[np.bool_] | None = None
+    image: NDArray[np.float32], usable: NDArray[np.bool_], most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Choose up to `most` pixels with texture, three or more inside the known ones [y, x]: rows, columns, tiles."""
-    usable = eroded(known, 3) if beside is None else eroded(known, 3) & beside
-    strength = gradient_size(smoothed(grey(lf, lf.reference_index), 0.7))
-    side = max(lf.size) / _TILES
+    """Choose up to `most` usable pixels [y, x] of an image where it has texture: rows, columns, tiles."""
+    strength = gradient_size(image)
+    side = max(image.shape) / _TILES
     rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
     tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
     share = max(1, most // max(1, len(np.unique(tiles))))
@@ -105,23 +127,38 @@ def textured(
 
 
 def hidden(
-    lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp], index: int
+    lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp], index: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Find the points [p] of the reference where a nearer surface of its map covers them in a view, on the host.
+    """Find the points [p] of the reference that a nearer surface of its map covers in views [n], on the host: [n, p].
 
     A surface that is nearer by k pixels in that view lies k pixels beside the point in the reference, along the offset.
     """
-    (du, dv), (height, width) = lf.offsets[index], lf.size
-    d, distance = map_[y, x].astype(np.float64), float(np.hypot(du, dv))
-    if distance == 0:
-        return np.zeros(len(d), np.bool_)
-    steps = np.arange(1, int(np.ceil((float(map_.max()) - float(d.min())) * distance)) + 1)[:, None] / distance
-    rows = np.rint(y + steps * dv).astype(np.intp)
-    columns = np.rint(x + steps * du).astype(np.intp)
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    nearer = map_[rows.clip(0, height - 1), columns.clip(0, width - 1)] - d
-    least = np.maximum(steps - 0.7 / distance, _TOLERANCE / farthest(lf))
-    return np.asarray((inside & (nearer >= least) & (nearer <= steps + 0.7 / distance)).any(0))
+    (height, width), least = lf.size, _TOLERANCE / farthest(lf)
+    covered = np.zeros((len(index), len(x)), np.bool_)
+    d = map_[y, x].astype(np.float64)
+    distance = np.maximum(np.hypot(*lf.offsets[index].T), 1e-9)
+    reach = int(np.ceil((float(map_.max()) - float(d.min())) * distance.max())) + 1
+    behind = np.flatnonzero(_nearest_around(map_, reach)[y // _BLOCK, x // _BLOCK] - d >= least)
+    d, y, x = d[behind], y[behind], x[behind]
+    for n, (du, dv), far in zip(range(len(index)), lf.offsets[index], distance, strict=True):
+        if far < 1e-6 or not len(d):
+            continue
+        steps = np.arange(1, int(np.ceil((float(map_.max()) - float(d.min())) * far)) + 1)[:, None] / far
+        rows = np.rint(y + steps * dv).astype(np.intp)
+        columns = np.rint(x + steps * du).astype(np.intp)
+        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+        nearer = map_[rows.clip(0, height - 1), columns.clip(0, width - 1)] - d
+        found = inside & (nearer >= np.maximum(steps - 0.7 / far, least)) & (nearer <= steps + 0.7 / far)
+        covered[n, behind] = found.any(0)
+    return covered
 
 
-__all__ = ["Points", "choose_points", "farthest", "hidden", "known_pixels", "on_surfaces", "textured"]
+def _nearest_around(map_: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
+    """Find the largest disparity around each block of a map, at least as far as `reach` pixels: one for each block."""
+    height, width = (-(-side // _BLOCK) for side in map_.shape)
+    padded = np.pad(map_, [(0, -side % _BLOCK) for side in map_.shape], mode="edge")
+    largest = padded.reshape(height, _BLOCK, width, _BLOCK).max((1, 3))
+    return window_max(largest, 2 * (reach // _BLOCK + 1) + 1)
+
+
+__all__ = ["Points", "choose_points", "farthest", "hidden", "known_pixels", "some_on_surfaces", "textured"]

@@ -7,37 +7,47 @@ grow and change in brightness. Half of a finding makes the cameras worth a look,
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus, findings
-from lfgpu.cameras.points import hidden, on_surfaces
+from lfgpu.cameras.points import hidden, some_on_surfaces
 from lfgpu.cameras.signs import order_of_depth
 from lfgpu.cameras.surface import Surface
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
+from lfgpu.threads import in_threads
 
 _SHARE = 0.5  # of a finding
-_POINTS, _FEWEST = 800, 200
+_IN_ALL, _LEAST, _MOST = 32_000, 400, 800  # points in all views, and bounds of those in each
+_FEWEST = 150  # points: from fewer nothing is said
+_AT_ONCE = 14  # views that are looked up together
 _AGREE = 0.2  # pixels: views that differ from the reference by no more than this in the median have the right axes
 _ROUNDS = 2  # of robust weights
 _LEAST_NOISE = 0.003  # intensity
 _SIDES = 4  # views, those farthest away, in which the order of depth is compared
 _TOLD = 50  # pixels that tell the order of depth; from fewer nobody can tell
+_PART, _BETTER = 6, 0.5  # one in so many rows ends it, if right cameras leave so much less there than the other order
 _AS_GOOD = 0.7  # of the loss: right cameras leave at most half of what the other order of depth leaves
 
 
 def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:
     """Tell whether something may be wrong with the cameras, by the map of the reference view [y, x]."""
-    map_, y, x, _ = on_surfaces(lf, disparity, _POINTS)
-    return len(x) < _FEWEST or _may_be_off(lf, map_, y, x) or _may_be_swapped(lf, disparity)
+    most = min(max(_IN_ALL // len(lf.views), _LEAST), _MOST)
+    map_, y, x = some_on_surfaces(lf, disparity, most)
+    doubts: list[Callable[[], bool]] = [partial(_may_be_off, lf, map_, y, x), partial(_may_be_swapped, lf, disparity)]
+    return len(x) < _FEWEST or any(in_threads(lambda may_be: may_be(), doubts))
 
 
 def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]) -> bool:
     """Tell whether views may be out of line, turned, scaled, of other brightness, or at mirrored places."""
     offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
-    looks = [_shown(lf, map_, n, y, x) for n in range(len(lf.views))]
-    value, by_x, by_y, seen = (np.stack(parts) for parts in zip(*looks, strict=True))
+    parts = np.array_split(np.arange(len(lf.views)), -(-len(lf.views) // _AT_ONCE))
+    looks = in_threads(lambda some: _shown(lf, map_, some, y, x), parts)
+    value, by_x, by_y, seen = (np.concatenate(shown) for shown in zip(*looks, strict=True))
     parallax = by_x * offsets[:, :1] + by_y * offsets[:, 1:]
     middle = (np.array(lf.size[::-1]) - 1) / 2
     across, down = (x - middle[0]) / radius, (y - middle[1]) / radius
@@ -73,23 +83,29 @@ def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], 
 
 
 def _shown(
-    lf: LightField, map_: NDArray[np.float32], index: int, y: NDArray[np.intp], x: NDArray[np.intp]
+    lf: LightField, map_: NDArray[np.float32], index: NDArray[np.intp], y: NDArray[np.intp], x: NDArray[np.intp]
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Value of a view at the points, smoothed, its derivatives, and 1 where it sees them, [p] each."""
-    (du, dv), (height, width) = lf.offsets[index], lf.size
+    """Look up the values of views [n] at the points, smoothed, their derivatives, and 1 where they see them, [n, p]."""
+    (du, dv), (height, width) = lf.offsets[index].T[..., None], lf.size
     d = map_[y, x].astype(np.float64)
     at_x, at_y = x - d * du, y - d * dv
     seen = (at_x >= 1) & (at_x < width - 2) & (at_y >= 1) & (at_y < height - 2) & ~hidden(lf, map_, y, x, index)
     at_x, at_y = at_x.clip(1, width - 2.01), at_y.clip(1, height - 2.01)
     if lf.valid is not None:
         taps = np.arange(-1, 3)
-        rows, columns = np.floor(at_y).astype(np.intp)[:, None] + taps, np.floor(at_x).astype(np.intp)[:, None] + taps
-        seen &= lf.valid[index, rows[:, :, None], columns[:, None]].all(axis=(1, 2))
-    return *Surface(lf.views[index], lf.scale)(at_x, at_y), seen.astype(np.float64)
+        rows, columns = (np.floor(at).astype(np.intp)[..., None] + taps for at in (at_y, at_x))
+        seen &= lf.valid[index[:, None, None, None], rows[..., None], columns[..., None, :]].all(axis=(2, 3))
+    picture = np.repeat(index, len(x))
+    found = Surface(lf.views, lf.scale)(at_x.ravel(), at_y.ravel(), picture)
+    value, by_x, by_y = (part.reshape(at_x.shape) for part in found)
+    return value, by_x, by_y, seen.astype(np.float64)
 
 
 def _may_be_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool:
     """Tell whether far surfaces of the map may hide its near ones."""
+    some = order_of_depth(lf, disparity, views=_SIDES, part=_PART)
+    if some.told >= _TOLD and some.near.sum() < _BETTER * some.far.sum():
+        return False
     order = order_of_depth(lf, disparity, views=_SIDES)
     return order.told >= _TOLD and order.near.sum() > _AS_GOOD * order.far.sum()
 

@@ -44,6 +44,7 @@ _SURELY = 2.5  # and by how many standard errors, over parts of the picture
 _GAP = 2.0  # pixels in the farthest view: a surface that is nearer by more hides those behind it
 _DIFFERENT = 0.03  # intensity: colours that can be told apart
 _MOST = 0.1  # intensity: larger differences count as much
+_BAND = 24  # rows of a band, from which few pixels land beside those of others
 _PARTS = 12  # along the longer side: pixels of one part are of one outline
 
 
@@ -118,14 +119,18 @@ class Order:
     far: Float64Array
 
 
-def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: int) -> Order:
-    """Compare the views that are farthest from the reference with its map [y, x], NaN where it is unknown."""
-    known = known_pixels(lf, disparity)
+def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: int, part: int = 1) -> Order:
+    """Compare the views that are farthest from the reference with its map [y, x], NaN where it is unknown.
+
+    Only one in `part` bands of rows is compared.
+    """
+    bands = np.arange(lf.size[0]) // _BAND % part == part // 2
+    known = known_pixels(lf, disparity) & bands[:, None]
     distance = np.hypot(*lf.offsets.T)
     image, (height, width) = grey(lf, lf.reference_index).ravel(), lf.size
     map_ = disparity.ravel()
-    order = np.argsort(map_, kind="stable")
-    order = order[known.ravel()[order]].astype(np.int32)
+    order = np.flatnonzero(known)
+    order = order[np.argsort(map_[order], kind="stable")].astype(np.int32)
     d, (rows, columns) = map_[order], np.divmod(order, np.int32(width))
     side = max(lf.size) / _PARTS
     told, near, far = 0, np.zeros(_PARTS**2), np.zeros(_PARTS**2)
@@ -149,10 +154,10 @@ def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: in
         apart = (map_[front] - map_[back] > _GAP / distance.max()) & (np.abs(image[front] - image[back]) > _DIFFERENT)
         front, back, shown = front[apart], back[apart], brighter * shown[both[apart]]
         row, column = np.divmod(front, width)
-        part = (row / side).astype(np.intp) * _PARTS + (column / side).astype(np.intp)
-        told += len(part)
+        place = (row / side).astype(np.intp) * _PARTS + (column / side).astype(np.intp)
+        told += len(place)
         for loss, seen in ((near, front), (far, back)):
-            loss += np.bincount(part, np.minimum(np.abs(shown - image[seen]), _MOST), len(loss))
+            loss += np.bincount(place, np.minimum(np.abs(shown - image[seen]), _MOST), len(loss))
     some = near + far > 0
     return Order(told, near[some], far[some])
 

@@ -31,25 +31,31 @@ class Surface:
     Parameters
     ----------
     picture
-        [y, x, c] as stored. Only the pixels around the places that are asked for are read.
+        [y, x, c] as stored, or several of one size, [n, y, x, c]. Only the pixels around the places that are asked for
+        are read.
     scale
         Factor from stored values to intensity.
     """
 
     def __init__(self, picture: NDArray[Any], scale: float = 1.0) -> None:
-        self._picture, self._scale = picture, scale
-        size = picture.shape[:2]
+        self._pictures, self._scale = picture if picture.ndim == 4 else picture[None], scale
+        self._size = size = self._pictures.shape[1:3]
         mode = "reflect" if min(size) > _BEYOND else "edge"
         self._rows, self._columns = (np.pad(np.arange(side), _BEYOND, mode=mode) for side in size)  # type: ignore[call-overload]
 
-    def __call__(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Look up the mean of the colours: value and derivatives by x and y at places [p], moved into the frame."""
-        height, width = self._picture.shape[:2]
+    def __call__(
+        self, x: Float64Array, y: Float64Array, index: NDArray[np.intp] | int = 0
+    ) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Look up the mean of the colours: value and derivatives by x and y at places [p], moved into the frame.
+
+        `index` [p] says in which of several pictures.
+        """
+        height, width = self._size
         x0, wx, sx = _spline_weights(np.clip(x, 0, width - 1))
         y0, wy, sy = _spline_weights(np.clip(y, 0, height - 1))
         taps = np.arange(_BEYOND - 1, _BEYOND + 3)[:, None]
         rows, columns = self._rows[y0 + taps], self._columns[x0 + taps]
-        shown = _grey(self._picture[rows[:, None], columns[None]], self._scale)
+        shown = _grey(_pixels(self._pictures, index, rows[:, None], columns[None]), self._scale)
         value, by_x, by_y = (np.zeros(len(x)) for _ in range(3))
         for j in range(4):
             row, slope = np.zeros(len(x)), np.zeros(len(x))
@@ -76,6 +82,16 @@ def patches(
     found = (1 - along) * found[:, :-1] + along * found[:, 1:]
     found = (1 - across) * found[:, :, :-1] + across * found[:, :, 1:]
     return found.reshape(len(x), -1)
+
+
+def _pixels(
+    pictures: NDArray[Any], index: NDArray[np.intp] | int, rows: NDArray[np.intp], columns: NDArray[np.intp]
+) -> NDArray[Any]:
+    """Read pixels of pictures [n, y, x, c]; of pictures whose pixels lie in a row that is four times as fast."""
+    if not pictures.flags.c_contiguous:
+        return np.asarray(pictures[index, rows, columns])
+    height, width, channels = pictures.shape[1:]
+    return pictures.reshape(-1, channels).take((index * height + rows) * width + columns, axis=0)
 
 
 def _grey(picture: NDArray[Any], scale: float) -> NDArray[np.float32]:

@@ -1,0 +1,97 @@
+"""Time of `estimate_depth` as people call it, by part, beside that of a pipeline that is there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from time import perf_counter
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+from benchmarks.options import DeviceName, Out, Presets, collected, listed, say
+from benchmarks.tables import NONE, Table
+from lfgpu import DepthPipeline, LightField, estimate_depth, scenes
+from lfgpu._backends import open_device
+from lfgpu.cameras import looking
+from lfgpu.data.result import DepthResult
+from lfgpu.methods.base import Method
+from lfgpu.pipelines import resident, verdict
+
+_PARTS: dict[str, tuple[Any, str]] = {
+    "take": (DepthPipeline, "take"),
+    "measure": (Method, "measure"),
+    "plan": (DepthPipeline, "_replan"),
+    "estimate": (DepthPipeline, "estimate"),
+    "result": (DepthPipeline, "result"),
+    "verdict": (verdict, "verdict_of"),
+    "screen": (looking, "worth_a_look"),
+}
+"""Parts: views are uploaded, measured and planned for while the pipeline takes them; the result is copied at the end of
+the estimate; cameras are screened for the verdict."""
+
+
+def command(presets: Presets = "fast,accurate,learned", device: DeviceName = None, out: Out = None) -> None:
+    """Time calls of `estimate_depth` by part, and compare their maps with those of calls that find nothing kept."""
+    table(collected(run(listed(presets), device), out, benchmark="call", as_json=dict)).show()
+
+
+def run(presets: Sequence[str], device: str | None, side: int = 512, views: int = 9) -> Iterator[dict[str, Any]]:
+    """Yield a row for each preset and call: milliseconds in all and of its parts, and whether the map is the same."""
+    name = open_device(device=device).name
+    say(f"{name}: two scenes of {views} x {views} views of {side} x {side} px")
+    one, other = (scenes.make("boxes", grid=(views, views), size=(side, side), seed=s, noise=0.004) for s in (1, 2))
+    for preset in presets:
+        calls = {"first": one, "same": one, "third": one, "other scene": other, "first again": one}
+        timed = [(call, lf, *_timed(lf, preset, name)) for call, lf in calls.items()]
+        resident.KEPT.free()
+        pipeline = DepthPipeline(one, config=preset, device=name)  # type: ignore[arg-type]
+        rounds = min(_round(pipeline, one) for _ in range(8))
+        del pipeline
+        for call, lf, milliseconds, found in timed:
+            resident.KEPT.free()
+            alone = estimate_depth(lf, config=preset, device=name)  # type: ignore[arg-type]
+            maps = ((getattr(found, f), getattr(alone, f)) for f in ("disparity", "confidence", "uncertainty"))
+            same = all(np.array_equal(*pair, equal_nan=True) for pair in maps)
+            yield {"preset": preset, "call": call, **milliseconds, "pipeline": rounds, "same map": same}
+
+
+def table(rows: Sequence[dict[str, Any]]) -> Table:
+    """Make the table."""
+
+    def of(name: str) -> Callable[[dict[str, Any]], str]:
+        return lambda row: f"{row[name]:.1f}" if name in row else NONE
+
+    columns = {name: of(name) for name in ("all", *_PARTS, "pipeline")}
+    words = {name: lambda row, name=name: str(row[name]) for name in ("preset", "call", "same map")}
+    return Table.of("milliseconds", 3, rows, {**words, **columns})
+
+
+def _round(pipeline: DepthPipeline, lf: LightField) -> float:
+    """Time views to a map, host to host, in milliseconds."""
+    start = perf_counter()
+    pipeline.upload(lf.views)
+    pipeline.run()
+    pipeline.disparity()
+    return 1e3 * (perf_counter() - start)
+
+
+def _timed(lf: LightField, preset: str, device: str) -> tuple[dict[str, float], DepthResult]:
+    """Time a call and those of its parts that happen, in milliseconds."""
+    times: dict[str, float] = {}
+
+    def watched(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(*arguments: Any, **options: Any) -> Any:
+            start = perf_counter()
+            found = function(*arguments, **options)
+            times[name] = times.get(name, 0.0) + 1e3 * (perf_counter() - start)
+            return found
+
+        return call
+
+    with ExitStack() as stack:
+        for name, (home, attribute) in _PARTS.items():
+            stack.enter_context(patch.object(home, attribute, watched(name, getattr(home, attribute))))
+        found = watched("all", estimate_depth)(lf, config=preset, device=device)
+    return times, found
