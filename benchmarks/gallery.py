@@ -21,7 +21,7 @@ from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.scenes import make
 from lfgpu.viewer.cloud import Cloud, shown_cloud
 from lfgpu.viz import panels as frames
-from lfgpu.viz.scales import error_reach, scale_limits
+from lfgpu.viz.scales import ERRORS, scale_limits
 
 SCENES = ("still_life", "planes", "relief")
 GRID, SIZE = (9, 9), (384, 512)
@@ -98,7 +98,6 @@ def _figure(solved: list[tuple[LightField, DepthResult]]) -> Figure:
     truths = [truth.disparity for lf, _ in solved if (truth := lf.reference_truth()) is not None]
     low, high = scale_limits(np.concatenate([truth.ravel() for truth in truths]))
     errors = [result.disparity - truth for (_, result), truth in zip(solved, truths, strict=True)]
-    reach = max(error_reach(error) for error in errors)
     bars = {}
     for row, ((lf, result), error) in enumerate(zip(solved, errors, strict=True)):
         view = frames.rgb(lf.views[lf.reference_index], lf.scale)
@@ -107,7 +106,7 @@ def _figure(solved: list[tuple[LightField, DepthResult]]) -> Figure:
         panels: list[tuple[Any, str, tuple[float, float]]] = [
             (view, "gray", (0, 255)),
             (result.disparity, "viridis", (low, high)),
-            (error, "RdBu_r", (-reach, reach)),
+            (error, "RdBu_r", ERRORS),
             (cloud, "gray", (0, 255)),
         ]
         for column, (values, colours, limits) in enumerate(panels):

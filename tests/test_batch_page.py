@@ -14,11 +14,11 @@ from PIL import Image
 from lfgpu import LightField, scenes
 from lfgpu.batch.items import Item, find_items
 from lfgpu.batch.manifest import Manifest, read_manifest
-from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
+from lfgpu.batch.names import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.report import facts, write_report
 from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work
-from lfgpu.io import REPORT_FILE, write_hci
+from lfgpu.io import REPORT_FILE, load, write_hci
 from lfgpu.methods import PRESETS
 from lfgpu.viz.colours import UNDEFINED
 
@@ -71,6 +71,11 @@ def test_pictures_are_a_view_and_its_map_with_grey_holes(out: Path, lf: LightFie
     for name in (VIEW_FILE, PREVIEW_FILE):
         with Image.open(out / "item_10" / name) as image:
             assert image.size == lf.size[::-1], "not scaled down"
+    error = load(out / "item_2" / "result.npz").disparity - lf.truth.disparity
+    with Image.open(out / "item_2" / ERROR_FILE) as image:
+        shown = np.asarray(image.convert("RGB")).astype(int)
+    assert (shown[error > 0.07] == shown[error > 0.07][0]).all(), "one red beyond the scale"
+    assert ((shown[..., 0] > shown[..., 2]) == (error > 0))[np.abs(error) > 0.005].all(), "red: too near"
     assert entry["scale"]["low"] < entry["scale"]["high"]
     assert entry["scale"]["undefined"] == 0
 

@@ -426,11 +426,11 @@ def test_one_result_is_not_taken_for_several_scenes(folder: Path, tmp_path: Path
 
 def test_error_maps_share_a_scale() -> None:
     truth = np.zeros((40, 50), np.float32)
-    scene = Scene("a", np.zeros((40, 50, 3), np.float32), truth, {"x": truth + 0.1, "y": truth - 0.01})
+    scene = Scene("a", np.zeros((40, 50, 3), np.float32), truth, {"x": truth + 0.05, "y": truth - 0.01})
     other = Scene("b", np.zeros((40, 50, 1), np.float32), truth, {"x": truth + 1.0})
     sheet = np.asarray(sheets.comparison([scene, other]))
-    for error in (0.1, -0.01, 1.0):
-        wanted = painted(np.full((1, 1), error, np.float32), LOOKS["error"].colours, (-1.0, 1.0))[0, 0]
+    for error in (0.05, -0.01, 1.0):
+        wanted = painted(np.full((1, 1), error, np.float32), LOOKS["error"].colours, (-0.07, 0.07))[0, 0]
         assert (sheet == wanted).all(axis=2).sum() > 8_000, error  # pixels inside the border, four times enlarged
     assert [row.best[0] for row in table([scene, other]).rows] == [False, True, True, False]
     with pytest.raises(LightFieldError, match="nothing to compare"):

@@ -261,6 +261,7 @@ def test_a_printed_report_is_complete(pdf: Path) -> None:
     for kind in ("disparity", "confidence", "unexplained"):
         stops = scale_of(kind, np.zeros((2, 2), np.float32), (0, 1)).stops
         assert sum(bars(page, stops) for page in pages) >= 6, f"the scale of {kind} is not printed"
+    assert any("All parameters" in page and "sweep.noise" in page for page in words), "parted from its heading"
     for title, foot in ON_ONE_PAGE.items():
         assert any(title in page and foot in page for page in words), f"the card {title} is cut"
     assert "sweep.noise" in " ".join(words), "parameters are printed although they are folded on the screen"

@@ -13,7 +13,7 @@ from urllib.parse import quote
 from markupsafe import Markup
 
 from lfgpu.batch.manifest import DONE
-from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
+from lfgpu.batch.names import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.run import Summary
 from lfgpu.comparison import COLUMNS
 from lfgpu.io.atomic import atomic_write
@@ -22,6 +22,7 @@ from lfgpu.reports.facts import date, preset
 from lfgpu.viz.cards import Scale, Tile, scale
 from lfgpu.viz.colours import LOOKS
 from lfgpu.viz.pages import rendered
+from lfgpu.viz.scales import ERRORS
 
 _UNITS = {name: "%" for name in COLUMNS if name.startswith("BadPix")}
 _FIRST = ("BadPix 0.07", "MSE x100")  # scores that are read first
@@ -43,7 +44,8 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
             "searched range",
             *(map(_typeset, COLUMNS) if any(e.get("metrics") for e in entries) else ()),
         ],
-        stops=scale("disparity", (0.0, 1.0)).stops,
+        gradients={kind: scale(kind, (0.0, 1.0)).stops for kind in ("disparity", "error")},
+        errors=scale("error", ERRORS, below=True, above=True),
         unit=LOOKS["disparity"].title,
         rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry.get("status") == DONE)],
     )
@@ -159,6 +161,7 @@ def _row(entry: Mapping[str, Any]) -> dict[str, Any]:
         "link": f"{folder}/{REPORT_FILE if REPORT_FILE in sizes else ''}" if done else "",
         "view": f"{folder}/{VIEW_FILE}" if VIEW_FILE in sizes else "",
         "picture": f"{folder}/{PREVIEW_FILE}" if PREVIEW_FILE in sizes else "",
+        "errors": f"{folder}/{ERROR_FILE}" if ERROR_FILE in sizes else "",
         "shape": Markup(' width="{}" height="{}"').format(width, height) if height else "",
         "scale": _scale(entry.get("scale") or {}),
         "numbers": numbers,

@@ -17,7 +17,7 @@ import numpy as np
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED
-from lfgpu.batch.names import PREVIEW_FILE, VIEW_FILE
+from lfgpu.batch.names import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.config import Config
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
@@ -229,6 +229,7 @@ def _write(folder: Path, lf: LightField, result: DepthResult) -> dict[str, float
     from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
     from lfgpu.viz.cards import SAVING, limits_of, map_image, view_image
     from lfgpu.viz.panels import rgb
+    from lfgpu.viz.scales import ERRORS
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
     write_result(result, folder / RESULT_FILE)
@@ -238,6 +239,9 @@ def _write(folder: Path, lf: LightField, result: DepthResult) -> dict[str, float
     view = view_image(rgb(lf.views[lf.reference_index], lf.scale), most=_PREVIEW)
     view.save(folder / VIEW_FILE, **SAVING["JPEG"])
     map_image(result.disparity, "disparity", limits, most=_PREVIEW).save(folder / PREVIEW_FILE, **SAVING["PNG"])
+    if (truth := lf.reference_truth()) is not None:
+        error = map_image(result.disparity - truth.scored, "error", ERRORS, most=_PREVIEW)
+        error.save(folder / ERROR_FILE, **SAVING["PNG"])
     known = result.disparity[np.isfinite(result.disparity)]
     return {
         "low": low,

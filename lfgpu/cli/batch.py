@@ -226,7 +226,7 @@ def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:
     from lfgpu.batch.manifest import DONE
-    from lfgpu.batch.names import MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
+    from lfgpu.batch.names import ERROR_FILE, MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
     from lfgpu.batch.report import facts
     from lfgpu.cli import console as shown
     from lfgpu.cli.summary import show_next
@@ -237,7 +237,7 @@ def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> 
     if barren:
         more = f" and {len(barren) - _NAMED} more" if len(barren) > _NAMED else ""
         shown.lines(console, [("no light field in", ", ".join(map(str, barren[:_NAMED])) + more)])
-    files = DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE
+    files = DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE, ERROR_FILE
     shown.heading(console, f"Written to {out}")
     shown.lines(
         console,

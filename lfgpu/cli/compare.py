@@ -168,7 +168,6 @@ def _write_tables(folder: Path, scored: Table) -> None:
 
 
 def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scene:
-    import numpy as np
 
     from lfgpu.comparison import Scene
     from lfgpu.io import read
@@ -178,9 +177,7 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
         raise LightFieldError(
             f"{path} holds no ground truth, so nothing can be scored on it; give a light field with ground truth."
         )
-    truth = lf.truth.disparity
-    if lf.truth.mask is not None:
-        truth = np.where(lf.truth.mask, truth, np.float32(np.nan))
+    truth = lf.truth.scored
     name = path.resolve().name
     maps = {}
     for method in methods:

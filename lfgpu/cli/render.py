@@ -192,12 +192,13 @@ def _write_quilt(
 
     from lfgpu.io import check_writable
     from lfgpu.io.frames import write_image
+    from lfgpu.viz.panels import quilt, quilt_name
     from lfgpu.viz.rendering import Renderer
 
     columns, rows = tiles
     height, width = lf.size
     if "_qs" not in out.stem:
-        out = out.with_name(f"{out.stem}_qs{columns}x{rows}a{width / height:.4g}{out.suffix}")
+        out = out.with_name(f"{out.stem}{quilt_name(columns, rows, width / height)}{out.suffix}")
         check_writable(out, folder=False)
     left, right = lf.positions[:, 0].min(), lf.positions[:, 0].max()
     if not right > left:
@@ -206,12 +207,8 @@ def _write_quilt(
     render = Renderer(
         lf, _maps(lf, maps, estimation, quiet=quiet), backend=estimation.backend, device=estimation.device
     )
-    image = np.empty((rows * height, columns * width, lf.channels), np.float32)
-    for n, u in enumerate(np.linspace(left, right, columns * rows)):
-        row, column = rows - 1 - n // columns, n % columns
-        tile = render(middle, float(u)).image
-        image[row * height : (row + 1) * height, column * width : (column + 1) * width] = tile
-    write_image(image, out, dtype=dtype)
+    views = (render(middle, float(u)).image for u in np.linspace(left, right, columns * rows))
+    write_image(quilt(views, columns, rows), out, dtype=dtype)
     return out
 
 

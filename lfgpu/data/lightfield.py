@@ -58,6 +58,11 @@ class GroundTruth:
     position: tuple[float, float]
     mask: NDArray[np.bool_] | None = None
 
+    @property
+    def scored(self) -> NDArray[np.float32]:
+        """The true disparity [y, x], pixels per view step; NaN where it is unknown or not scored."""
+        return self.disparity if self.mask is None else np.where(self.mask, self.disparity, np.float32(np.nan))
+
     def __repr__(self) -> str:
         scored = "everywhere" if self.mask is None else f"on {self.mask.mean():.1%}"
         return (

@@ -33,7 +33,6 @@ def write_comparison(path: Path, scenes: Sequence[Scene], scored: Table) -> None
     LightFieldError
         If the file cannot be written.
     """
-    reach = max(limits_of("error", error_map(m, scene.truth))[1] for scene in scenes for m in scene.maps.values())
     number = f"{len(scenes)} scene{'s' * (len(scenes) > 1)}"
     page = rendered(
         "comparison.html",
@@ -42,13 +41,13 @@ def write_comparison(path: Path, scenes: Sequence[Scene], scored: Table) -> None
         columns=[f"{name} (%)" if name.startswith("BadPix") else name.replace("x100", "×100") for name in COLUMNS],
         table=scored.scenes,
         border=scenes[0].border,
-        scenes={scene.name: list(_cards(scene, scored.methods, reach)) for scene in scenes},
+        scenes={scene.name: list(_cards(scene, scored.methods)) for scene in scenes},
     )
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
 
 
-def _cards(scene: Scene, methods: Sequence[str], reach: float) -> Iterator[Card]:
+def _cards(scene: Scene, methods: Sequence[str]) -> Iterator[Card]:
     """Yield the truth and the map of each method, then the view and the error of each method."""
     limits = limits_of("disparity", scene.truth)
     maps = {method: np.asarray(scene.maps[method], np.float32) for method in methods if method in scene.maps}
@@ -58,4 +57,4 @@ def _cards(scene: Scene, methods: Sequence[str], reach: float) -> Iterator[Card]
     yield view_card("View", rgb(scene.view, 1.0), most=_MOST)
     for method, values in maps.items():
         error = error_map(values, scene.truth)
-        yield map_card(method, error, "error", limits=(-reach, reach), remark="error", most=_MOST)
+        yield map_card(method, error, "error", remark="error", most=_MOST)

@@ -206,11 +206,8 @@ def _maps(lf: LightField, result: DepthResult, points: list[Point]) -> list[Card
         map_card("Disparity", result.disparity, "disparity", limits=limits),
     ]
     if truth is not None:
-        error = result.disparity - truth.disparity
-        if truth.mask is not None:
-            error = np.where(truth.mask, error, np.float32(np.nan))
         found += [map_card("Ground truth", truth.disparity, "disparity", limits=limits)]
-        found += [map_card("Error", error, "error")]
+        found += [map_card("Error", result.disparity - truth.scored, "error")]
     found.append(map_card("Confidence", np.where(known, result.confidence, np.float32(np.nan)), "confidence"))
     if result.uncertainty is not None:
         found.append(map_card("Uncertainty", result.uncertainty, "uncertainty"))

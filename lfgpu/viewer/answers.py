@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import preset
-from lfgpu.viewer import pictures, probe, saving
+from lfgpu.viewer import pictures, probe, saving, solving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents
 from lfgpu.viewer.facts import COLOURS, fixed
@@ -99,6 +101,25 @@ def _pixel(contents: Contents, query: Query, x: str, y: str) -> tuple[int, int]:
     return int(np.clip(query.number(x), 0, width - 1)), int(np.clip(query.number(y), 0, height - 1))
 
 
+def _span(contents: Contents, query: Query) -> Any:
+    name, kind = query.text("result"), query.text("kind")
+    ends = [_pixel(contents, query, *words) for words in (("x0", "y0"), ("x", "y"))]
+    values, entry = _values(contents, query), contents.all_entries()[name]
+    return probe.span(contents, values, entry, query.text("stage", FINAL), ends, QUANTITIES[kind].unit)
+
+
+def _preview(contents: Contents, query: Query) -> NDArray[np.float32]:
+    try:
+        wish = dict(json.loads(query.text("wish")))
+    except (TypeError, ValueError, RecursionError):
+        raise LightFieldError("the wish must be an object in JSON.") from None
+    request = _request(contents, wish)
+    known = contents.entries.get(query.text("result", ""))
+    if request.disparity_range is None and known is not None and known.result is not None:
+        request = replace(request, disparity_range=known.result.disparity_range)
+    return solving.preview(request, *query.wholes("left", "top", "right", "bottom"))
+
+
 _TILE = ("level", "column", "row")
 
 DATA: dict[str, Callable[[Contents, Query], Any]] = {
@@ -120,7 +141,9 @@ DATA: dict[str, Callable[[Contents, Query], Any]] = {
         of, query.text("result"), query.text("stage", FINAL), *_pixel(of, query, "x", "y")
     ),
     "seen": lambda of, query: probe.seen(_values(of, query), *query.wholes("left", "top", "right", "bottom")),
-    "difference": lambda of, query: probe.difference(_values(of, query)),
+    "span": _span,
+    "preview": _preview,
+    "difference": lambda of, query: probe.difference(_values(of, query), query.text("kind")),
     "fixed": lambda *_: fixed(),
 }
 """Arrays to draw, and values for JSON, by what is asked for."""
@@ -169,7 +192,12 @@ def _open(board: Board, wish: Mapping[str, Any]) -> None:
 
 
 def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
-    contents, values, bounds = board.contents, wish.get("values") or {}, wish.get("range")
+    if not board.solver.start(_request(board.contents, wish)):
+        raise LightFieldError("an estimate is being made already; wait for it, or press Stop.")
+
+
+def _request(contents: Contents, wish: Mapping[str, Any]) -> Request:
+    values, bounds = wish.get("values") or {}, wish.get("range")
     if contents.lf is None:
         raise LightFieldError("a map alone cannot be estimated again: open the light field that it is of.")
     if not isinstance(values, dict) or not (bounds is None or _are_two_numbers(bounds)):
@@ -178,8 +206,7 @@ def _estimate(board: Board, wish: Mapping[str, Any]) -> None:
     config = preset(chosen).with_values({str(key): value for key, value in values.items()})
     name = str(wish.get("name") or "").strip()[:_LONGEST] or chosen
     found = None if bounds is None else (float(bounds[0]), float(bounds[1]))
-    if not board.solver.start(Request(contents.lf, config, found, name, contents.frame)):
-        raise LightFieldError("an estimate is being made already; wait for it, or press Stop.")
+    return Request(contents.lf, config, found, name, contents.frame)
 
 
 def _are_two_numbers(values: object) -> bool:

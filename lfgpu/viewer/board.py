@@ -58,7 +58,7 @@ class Board:
         self.newest: str | None = None
         """The map that came last; pages select it."""
         self.loading: tuple[str, float] | None = None
-        """What is being read, and since when (`perf_counter`); None if nothing is."""
+        """What is being read or drawn, and since when (`perf_counter`); None if nothing is."""
         self.stream = Stream()
         self.switches: dict[str, Switch] = {}
         """What pages may switch of a stream: "pause", "record"."""
@@ -151,20 +151,25 @@ class Board:
         self.open(path)
 
     @contextmanager
-    def _reading(self, what: str) -> Iterator[None]:
+    def working(self, what: str) -> Iterator[Callable[[str], None]]:
+        """Tell pages what is being done; returns what tells them a step of it."""
         begin = perf_counter()
 
         def say(step: str) -> None:
-            self.loading = (f"Reading {what}{f': {step}' if step else ''}", begin)
+            self.loading = (f"{what}{f': {step}' if step else ''}", begin)
             self.tell()
 
         say("")
         try:
-            with heard_by(say):
-                yield
+            yield say
         finally:
             self.loading = None
             self.tell()
+
+    @contextmanager
+    def _reading(self, what: str) -> Iterator[None]:
+        with self.working(f"Reading {what}") as say, heard_by(say):
+            yield
 
     # --- estimates ---
 

@@ -20,7 +20,7 @@ from lfgpu.io import holds_map, load, one_map, read
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.viewer.film import Film, holds_maps_of_frames
 from lfgpu.viz.colours import LOOKS
-from lfgpu.viz.scales import error_reach, scale_limits
+from lfgpu.viz.scales import ERRORS, scale_limits
 
 TRUTH = "ground truth"
 """The name of the ground truth among the maps."""
@@ -129,9 +129,7 @@ class Contents:
     def truth(self) -> NDArray[np.float32] | None:
         """The true disparity of the reference view; NaN where it is not scored. None if unknown."""
         truth = None if self.lf is None else self.lf.reference_truth()
-        if truth is None or truth.mask is None:
-            return None if truth is None else truth.disparity
-        return np.where(truth.mask, truth.disparity, np.float32(np.nan))
+        return None if truth is None else truth.scored
 
     def all_entries(self) -> dict[str, Entry]:
         """Return all maps, with the ground truth as one of them."""
@@ -198,9 +196,7 @@ class Contents:
         if kind == "confidence":
             return 0.0, 1.0
         if kind == "error":
-            errors = [error for name in self.entries if (error := self.map(name, kind)) is not None]
-            reach = max((error_reach(error) for error in errors), default=0.07)
-            return -reach, reach
+            return ERRORS
         known = self.truth if self.truth is not None and kind == "disparity" else None
         maps = [known] if known is not None else [self.map(name, kind) for name in self.all_entries()]
         spans = [scale_limits(values) for values in maps if values is not None and np.isfinite(values).any()]

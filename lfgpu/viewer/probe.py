@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,9 +11,9 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.viewer.contents import Contents
+from lfgpu.viewer.contents import Contents, Entry
 from lfgpu.viewer.pictures import in_reference
-from lfgpu.viz.scales import error_reach, scale_limits
+from lfgpu.viz.scales import ERRORS, scale_limits
 
 _THRESHOLDS = (0.07, 0.03, 0.01)  # of bad pixels
 _STEPS = 129  # disparities that are tried
@@ -87,17 +88,58 @@ def _hidden(
     return found
 
 
-def difference(values: NDArray[np.float32]) -> dict[str, Any]:
+def difference(values: NDArray[np.float32], kind: str) -> dict[str, Any]:
     """Describe a difference of two maps: a scale around zero, its ends, and the shares beyond the usual thresholds."""
     known = np.abs(values[np.isfinite(values)])
     if not known.size:
         raise LightFieldError("no pixel is known in both maps.")
-    reach = error_reach(values)
+    reach = float(np.quantile(known, 0.95)) or 1.0
     return {
-        "limits": (-reach, reach),
+        "limits": ERRORS if kind in ("disparity", "error") else (-reach, reach),
         "extent": (float(np.nanmin(values)), float(np.nanmax(values))),
         "shares": [[threshold, 100 * float((known > threshold).mean())] for threshold in _THRESHOLDS],
     }
+
+
+def span(
+    contents: Contents,
+    values: NDArray[np.float32],
+    entry: Entry,
+    stage: str,
+    ends: list[tuple[int, int]],
+    unit: str,
+) -> dict[str, Any]:
+    """Measure along the line between two pixels of a map, and in the box that they span.
+
+    Returns `along`, pixels from the start, the `values` of the nearest pixels there, and what is `said` of all.
+    """
+    (left, right), (top, bottom) = (sorted(pair) for pair in zip(*ends, strict=True))
+    x, y = np.rint(np.linspace(ends[0], ends[1], max(right - left, bottom - top) + 1)).astype(int).T
+    length = math.dist(*ends)
+    box = values[top : bottom + 1, left : right + 1].astype(np.float64)
+    known = box[np.isfinite(box)]
+    said = [f"line {length:.1f} px"]
+    metres = math.dist(*(_point(contents, entry, stage, *one) for one in ends))
+    if math.isfinite(metres):
+        said.append(f"{metres:.4g} m in space")
+    if known.size:
+        numbers = known.mean(), known.std(), np.median(known), known.min(), known.max()
+        mean, spread, middle, low, high = (f"{float(value):.3g}".replace("-", "\N{MINUS SIGN}") for value in numbers)
+        here = f"mean {mean} \N{PLUS-MINUS SIGN} {spread}, median {middle}, {low} to {high} {unit}".rstrip()
+        said.append(f"box {box.shape[1]} \N{MULTIPLICATION SIGN} {box.shape[0]}: {here}")
+    if known.size < box.size:
+        said.append(f"{100 * known.size / box.size:.3g} % of the box known")
+    return {"along": np.linspace(0, length, len(x)).tolist(), "values": _finite(values[y, x]), "said": "; ".join(said)}
+
+
+def _point(contents: Contents, entry: Entry, stage: str, x: int, y: int) -> NDArray[np.float64]:
+    """Return the point of a pixel in metres, [3]; NaN where it is unknown, and without known cameras."""
+    geometry, (height, width) = contents.geometry, contents.size or (1, 1)
+    if geometry is None:
+        return np.full(3, np.nan)
+    right, down = geometry.principal_point or ((width - 1) / 2, (height - 1) / 2)
+    one = replace(geometry, principal_point=(right - x, down - y))
+    return one.points(entry.stage(stage)[y : y + 1, x : x + 1], position=contents.position)[0, 0]
 
 
 def seen(values: NDArray[np.float32], left: int, top: int, right: int, bottom: int) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -42,9 +43,14 @@ def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
             values = replace(values, confidence=None, uncertainty=None)
     lf = contents.lf
     image = None if lf is None else lf.image(lf.reference_index)
+    return written(lambda path: save(values, path, image=image), suffix)
+
+
+def written(write: Callable[[Path], object], suffix: str) -> bytes:
+    """Return the bytes of a file that `write` writes."""
     with tempfile.TemporaryDirectory(prefix="lfgpu-") as folder:
         path = Path(folder) / f"result{suffix}"
-        save(values, path, image=image)
+        write(path)
         return path.read_bytes()
 
 

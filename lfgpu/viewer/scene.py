@@ -41,6 +41,11 @@ class Scene:
     x: int = 0
     y: int = 0
     """The pixel that is marked."""
+    x0: int = -1
+    y0: int = -1
+    """The pixel from which a line leads to it; -1 for none."""
+    orbit: bool = False
+    """True if the eye moves around what it looks at."""
 
     @classmethod
     def of(cls, values: dict[str, Any]) -> Scene:

@@ -7,12 +7,17 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from time import perf_counter
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
-from lfgpu.errors import LfgpuError
+from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.viewer.late import import_all
+
+_MOST = 256  # pixels along a side of a preview
 
 
 @dataclass(frozen=True)
@@ -25,6 +30,19 @@ class Request:
     name: str = "result"
     frame: int = 0
     """Number of the frame of a stream, as `Contents.frame`."""
+
+
+def preview(request: Request, left: int, top: int, right: int, bottom: int) -> NDArray[np.float32]:
+    """Estimate a window [y, x] of the map alone, of at most 256 x 256 pixels."""
+    import_all()
+    from lfgpu.pipelines.estimate import estimate_depth
+
+    if min(left, top) < 0 or max(right - left, bottom - top) > _MOST:
+        raise LightFieldError(f"a preview has at most {_MOST} x {_MOST} pixels of the map.")
+    part = request.lf.crop(slice(top, bottom), slice(left, right))
+    return estimate_depth(
+        part, config=request.config, disparity_range=request.disparity_range, check_cameras=False
+    ).disparity
 
 
 @dataclass(frozen=True)

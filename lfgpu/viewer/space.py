@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from http import HTTPStatus
+from itertools import count
 from time import monotonic
 from typing import Any
 
@@ -17,18 +18,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
+from lfgpu.io.frames import write_frames
+from lfgpu.viewer import saving
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import QUANTITIES, Contents
 from lfgpu.viewer.glb import surface_glb
+from lfgpu.viewer.paths import COLUMNS, PICTURES, ROWS, Pose
 from lfgpu.viewer.place import HOST
 from lfgpu.viewer.scene import Scene
 from lfgpu.viz.colours import LOOKS, painted
-from lfgpu.viz.panels import SLOPE, encoded, rgb
+from lfgpu.viz.panels import SLOPE, encoded, quilt, quilt_name, rgb
 from lfgpu.viz.pictures import beside_scale
 
 _EXPOSURE = 30.0  # at most, either way: every stored value is white or black before
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
+_ORBIT, _ORBIT_STEP = 9.0, 0.04  # seconds of an orbit, and between two of its steps
+_SIDES = {"picture": 4096, "mp4": 1280, "gif": 640, "quilt": 512}  # pixels of the longer side of what is saved, at most
 _MESH_POINTS = 120_000  # of a surface
 _PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 255), "black": (0, 0, 0)}
 _CAMERAS = {False: (130, 138, 148), True: SLOPE}  # the reference camera stands out
@@ -65,6 +71,7 @@ class Space:
         self._cloud: Cloud | None = None
         self._cloud_at = 0.0
         self._centres: NDArray[np.float64] | None = None
+        self._orbits: dict[int, tuple[float, Pose]] = {}  # of each browser: since when, and from where
         self.token = secrets.token_urlsafe(24)
         with _guarded(self.token), _silent():
             self._server = viser.ViserServer(host=HOST, port=0, verbose=False)
@@ -93,24 +100,54 @@ class Space:
         """Put the eye back to where it began."""
         self._ask("eye")
 
-    def picture(self) -> bytes:
-        """Render what the frame shows, without marks, before the background of the page, with its scale, as a PNG."""
+    def saved(self, form: str) -> tuple[bytes, str]:
+        """Render what the frame shows, without marks, as a file; returns it with the end of its name.
+
+        A "picture" has a scale, "mp4" and "gif" are films of an orbit, a "quilt" has views for displays in space.
+        """
+        from viser.transforms import SO3
+
         clients = list(self._server.get_clients().values())
         if not clients:
             raise LightFieldError("there is no picture of the points in space yet: open the tab 3D.")
-        client = clients[-1]
+        client, pose = clients[-1], Pose.of(clients[-1].camera)
+        height, width = client.camera.image_height or 900, client.camera.image_width or 1200
+        if form not in _SIDES:
+            raise LightFieldError(f"what is seen in space is saved as {', '.join(_SIDES)}, not as {form!r}.")
+        factor = min(1.0, _SIDES[form] / max(height, width))
+        height, width = (max(1, round(factor * side)) for side in (height, width))
+
+        drawn = count(1)
+
+        def seen(eye: NDArray[np.float64], target: NDArray[np.float64], wide: int = width) -> NDArray[np.uint8]:
+            say(f"picture {next(drawn)}{'' if form == 'picture' else f' of {PICTURES}'}")
+            turned = SO3.from_matrix(Pose(eye, target).axes).wxyz
+            where = {"position": eye, "wxyz": turned, "fov": pose.fov}
+            found = client.get_render(height=height, width=wide, transport_format="png", timeout=30.0, **where)
+            alpha = found[..., 3:].astype(np.float32) / 255
+            behind = np.array(_PAGES.get(self._scene.background, _PAGES["white"]), np.float32)
+            return (found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8)
+
+        def tiles() -> Iterator[NDArray[np.uint8]]:
+            for eye, aside in pose.beside():  # of a wider picture, so that what is in the middle stays there
+                off = round(aside * height)
+                wide = seen(eye, eye + pose.target - pose.eye, width + 2 * abs(off))
+                yield wide[:, abs(off) + off : abs(off) + off + width]
+
         self._mark(visible=False)
         try:
-            height, width = client.camera.image_height or 900, client.camera.image_width or 1200
-            found = client.get_render(height=height, width=width, transport_format="png", timeout=30.0)
+            with self._board.working("Drawing points in space") as say:
+                if form == "picture":
+                    return _with_scale(seen(pose.eye, pose.target), self._scene, self._board.contents), ".png"
+                if form == "quilt":
+                    return encoded(quilt(tiles(), COLUMNS, ROWS)), f"{quilt_name(COLUMNS, ROWS, width / height)}.png"
+                orbit = (pose.orbited(k / PICTURES) for k in range(PICTURES))
+                film = (np.divide(seen(one.eye, one.target), 255, dtype=np.float32) for one in orbit)
+                return saving.written(lambda path: write_frames(film, path, fps=16), f".{form}"), f".{form}"
         except (TimeoutError, RuntimeError):
             raise LightFieldError("the browser did not draw the points in space; open the tab 3D.") from None
         finally:
             self._mark(visible=True)
-        alpha = found[..., 3:].astype(np.float32) / 255
-        behind = np.array(_PAGES.get(self._scene.background, _PAGES["white"]), np.float32)
-        drawn = (found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8)
-        return _with_scale(drawn, self._scene, self._board.contents)
 
     def close(self) -> None:
         """End the scene and free its port."""
@@ -131,13 +168,16 @@ class Space:
         late = False
         while True:
             with self._wake:
-                self._wake.wait_for(lambda: self._closed or bool(self._stale), _LIVE_CLOUD if late else None)
+                pause = _ORBIT_STEP if self._scene.orbit else _LIVE_CLOUD if late else None
+                self._wake.wait_for(lambda: self._closed or bool(self._stale), pause)
                 if self._closed:
                     return
                 stale, self._stale = self._stale, set()
                 scene = self._scene
             try:
-                late = self._draw(scene, self._board.contents, stale)
+                if stale or late:
+                    late = self._draw(scene, self._board.contents, stale)
+                self._orbit(scene.orbit)
             except Exception:
                 if not self._closed:  # a scene that is gone takes no more messages
                     logging.getLogger("lfgpu.viewer").exception("the points in space could not be drawn")
@@ -147,7 +187,8 @@ class Space:
         shown, first = self._shown, self._cloud is None
         entry = contents.all_entries().get(scene.result)
         serial = (None if entry is None else entry.serial, id(contents.lf))
-        moved = replace(scene, x=shown.x, y=shown.y, aspect=shown.aspect) != shown
+        apart = {name: getattr(shown, name) for name in ("x", "y", "x0", "y0", "aspect", "orbit")}
+        moved = replace(scene, **apart) != shown
         late = serial != self._serial and not moved and monotonic() - self._cloud_at < _LIVE_CLOUD
         if late:
             return True
@@ -175,7 +216,7 @@ class Space:
     def _draw_cloud(self, scene: Scene, contents: Contents) -> None:
         entry, scenery = contents.all_entries().get(scene.result), self._server.scene
         if entry is None:
-            for name in ("/cloud", "/surface", "/mark"):
+            for name in ("/cloud", "/surface", "/mark", "/span"):
                 scenery.remove_by_name(name)
             self._cloud = None
             return
@@ -234,17 +275,22 @@ class Space:
         if cloud is None or not len(cloud.pixels):
             self._server.scene.remove_by_name("/mark")
             return
-        there = np.abs(cloud.pixels - (scene.x, scene.y)).sum(axis=1)
-        place = cloud.points[int(np.argmin(there))].astype(np.float64)
+        pixels = np.array([(scene.x, scene.y), (scene.x0, scene.y0)])
+        end, start = (cloud.points[int(np.abs(cloud.pixels - one).sum(axis=1).argmin())] for one in pixels)
         self._server.scene.add_icosphere(
-            "/mark", radius=4 * cloud.spacing, color=SLOPE, position=place, cast_shadow=False, receive_shadow=False
+            "/mark", radius=4 * cloud.spacing, color=SLOPE, position=end, cast_shadow=False, receive_shadow=False
         )
+        if scene.x0 < 0:
+            self._server.scene.remove_by_name("/span")
+        else:
+            line = np.stack([start, end])[None]
+            self._server.scene.add_line_segments("/span", line, SLOPE, thickness=3.0, thickness_units="screen")
 
     def _mark(self, *, visible: bool) -> None:
-        mark = self._server.scene.get_handle_by_name("/mark")
-        if mark is not None:
-            mark.visible = visible
-            self._server.flush()
+        for name in ("/mark", "/span"):
+            if (mark := self._server.scene.get_handle_by_name(name)) is not None:
+                mark.visible = visible
+        self._server.flush()
 
     def _place(self, client: Any) -> None:
         """Put the eye of a browser a little beside the reference camera, such that the cloud fills the frame."""
@@ -256,6 +302,17 @@ class Space:
         camera.up_direction = (0.0, -1.0, 0.0)
         camera.position, camera.look_at, camera.fov = eye, target, fov
         camera.near, camera.far = away / 1000, away * 100
+
+    def _orbit(self, wanted: bool) -> None:
+        """Let the eyes go on along their orbits; at the end they are back where each began."""
+        if not (wanted or self._orbits):
+            return
+        for number, client in self._server.get_clients().items():
+            begin, pose = self._orbits.setdefault(number, (monotonic(), Pose.of(client.camera)))
+            now = pose.orbited((monotonic() - begin) / _ORBIT if wanted else 0)
+            client.camera.position, client.camera.look_at = now.eye, now.target
+        if not wanted:
+            self._orbits.clear()
 
     def _clicked(self, event: Any) -> None:
         if self._cloud is not None and (pixel := nearest_to_ray(self._cloud, event.ray_origin, event.ray_direction)):
@@ -298,10 +355,7 @@ def _aimed(
     The reach is to the right and down, as tangents of angles; without a few of the outermost points.
     """
     for _ in range(8):  # the middle of the picture is not that of the cloud
-        forward = (target - eye) / np.linalg.norm(target - eye)
-        right = np.cross([0.0, 1.0, 0.0], forward)
-        right /= np.linalg.norm(right)
-        down = np.cross(forward, right)
+        right, down, forward = Pose(eye, target).axes.T
         relative = points - eye
         deep = np.maximum(relative @ forward, 1e-6 * np.linalg.norm(target - eye))
         sides = np.stack([relative @ right, relative @ down]) / deep

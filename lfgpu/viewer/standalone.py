@@ -88,7 +88,8 @@ def _differences(contents: Contents, names: list[str]) -> Iterator[tuple[str, An
     for first, second in permutations(names, 2):
         for kind in set(contents.kinds(first)) & set(contents.kinds(second)):
             with suppress(LightFieldError), np.errstate(invalid="ignore"):  # nothing is known in both
-                yield f"{kind}|{first}|{second}", difference(contents.map(first, kind) - contents.map(second, kind))  # type: ignore[operator]
+                apart = contents.map(first, kind) - contents.map(second, kind)  # type: ignore[operator]
+                yield f"{kind}|{first}|{second}", difference(apart, kind)
 
 
 def _webp(view: NDArray[Any]) -> str:

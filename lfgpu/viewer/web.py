@@ -202,7 +202,7 @@ class _File(Guarded):
         if found is not None:
             content, suffix = found
             name = quote(f"{query.text('name', 'lfgpu')}{suffix}", safe="")
-            self.set_header("Content-Type", "image/png" if suffix == ".png" else "application/octet-stream")
+            self.set_header("Content-Type", "image/png" if suffix.endswith(".png") else "application/octet-stream")
             self.set_header("Content-Disposition", f"attachment; filename*=UTF-8''{name}")
             await self.finish(content)
 
@@ -211,7 +211,7 @@ def _picture_in_space(site: Site, query: Query) -> tuple[bytes, str]:
     tab = site.tabs.get(query.text("tab"))
     if tab is None or tab.space is None:
         raise LightFieldError("there are no points in space yet: open the tab 3D.")
-    return tab.space.picture(), ".png"
+    return tab.space.saved(query.text("form", "picture"))
 
 
 class _Do(Guarded):

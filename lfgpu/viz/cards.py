@@ -16,7 +16,7 @@ from PIL import Image
 from lfgpu.viz.colours import GREY, LOOKS, indices, palette, shades
 from lfgpu.viz.panels import Picture, fitted
 from lfgpu.viz.pictures import ticks
-from lfgpu.viz.scales import error_reach, scale_limits
+from lfgpu.viz.scales import ERRORS, scale_limits
 
 MOST_PIXELS = 500_000
 """Pixels of a picture in a page: larger ones are scaled down, so that the page stays at a few MB."""
@@ -167,8 +167,7 @@ def limits_of(kind: str, values: NDArray[np.float32]) -> tuple[float, float]:
     if kind == "confidence":
         return 0.0, 1.0
     if kind == "error":
-        reach = error_reach(values)
-        return -reach, reach
+        return ERRORS
     if kind in ("uncertainty", "unexplained"):
         known = values[np.isfinite(values)]
         high = float(np.quantile(known, _MOST_OF_ALL)) if known.size else 0.0

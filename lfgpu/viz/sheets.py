@@ -13,7 +13,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.viz.colours import LOOKS, UNDEFINED, painted
 from lfgpu.viz.panels import Picture, fitted, rgb
 from lfgpu.viz.pictures import beside_scale, draw_map, draw_view, font, short
-from lfgpu.viz.scales import error_reach, scale_limits
+from lfgpu.viz.scales import ERRORS, scale_limits
 
 _CELL, _LINE, _MARGIN = 330, 34, 12  # pixels: the width of a map in a comparison, the height of a line, space around
 _LETTERS, _HEADING = 20, 30  # pixels
@@ -59,11 +59,11 @@ def overview(
     scored = np.zeros(error.shape, np.bool_)
     scored[border : error.shape[0] - border, border : error.shape[1] - border] = True
     error = np.where(scored if mask is None else scored & np.asarray(mask), error, np.float32(np.nan))
-    limits, reach = scale_limits(np.asarray(true, np.float32)), error_reach(error)
+    limits = scale_limits(np.asarray(true, np.float32))
     maps = [
         draw_map(values, title=name, label=LOOKS[kind].title, colours=LOOKS[kind].colours, limits=ends).convert("RGB")
         for values, name, kind, ends in (
-            (error, "disparity minus truth", "error", (-reach, reach)),
+            (error, "disparity minus truth", "error", ERRORS),
             (estimated, "disparity", "disparity", limits),
             (true, "truth", "disparity", limits),
         )
@@ -92,7 +92,6 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
     if not methods:
         raise LightFieldError("there is nothing to compare; give at least one scene with the map of one method.")
     errors = {(s.name, m): error_map(values, s.truth) for s in scenes for m, values in s.maps.items()}
-    reach = max(error_reach(error) for error in errors.values())
     extents = [float(value) for error in errors.values() for value in _extent(error)]
     heights = [round(_CELL * scene.truth.shape[0] / scene.truth.shape[1]) for scene in scenes]
     across = _MARGIN + (2 + len(methods)) * (_CELL + _MARGIN)
@@ -106,7 +105,7 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
             m = scores.get(method)
             error = errors.get((scene.name, method), np.full(scene.truth.shape, np.nan, np.float32))
             said = "no map" if m is None else f"{m.badpix_07:.2f} % bad, MSE×100 {m.mse_100:.2f}"
-            cells.append((method, _framed(error, reach, scene.border), said))
+            cells.append((method, _framed(error, scene.border), said))
         for column, (name, picture, said) in enumerate(cells):
             left = _MARGIN + column * (_CELL + _MARGIN)
             sheet.paste(fitted(picture, wide=_CELL, tall=height), (left, top))
@@ -118,7 +117,7 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
         np.asarray(sheet),
         label=f"{LOOKS['error'].title}; grey: undefined or not scored",
         colours=LOOKS["error"].colours,
-        limits=(-reach, reach),
+        limits=ERRORS,
         extent=(min(extents), max(extents)),
     )
 
@@ -128,9 +127,9 @@ def _extent(values: NDArray[np.float32]) -> tuple[float, float]:
     return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
-def _framed(error: NDArray[np.float32], reach: float, border: int) -> Picture:
+def _framed(error: NDArray[np.float32], border: int) -> Picture:
     """Paint an error map, its border that is not scored in the grey of undefined pixels."""
-    picture = painted(error, LOOKS["error"].colours, (-reach, reach))
+    picture = painted(error, LOOKS["error"].colours, ERRORS)
     inner = picture[border : len(picture) - border, border : picture.shape[1] - border].copy()
     picture[:] = UNDEFINED
     picture[border : len(picture) - border, border : picture.shape[1] - border] = inner

@@ -10,10 +10,12 @@ import pytest
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
+from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer, probe
 from lfgpu.viewer.contents import Contents, Entry
+from lfgpu.viz.colours import painted
 from tests.browser import until
-from tests.viewer.page import SIZE, Page, marked
+from tests.viewer.page import GREY, SIZE, Page, marked, viridis
 
 
 def test_costs_are_least_at_the_truth_and_hidden_views_are_told(lf: LightField) -> None:
@@ -49,6 +51,69 @@ def test_costs_are_least_at_the_truth_and_hidden_views_are_told(lf: LightField) 
     hidden = probe.costs(Contents(lf, {"a": Entry(DisparityMap(disparity))}), "a", "final", 32, 20)["hidden"]
     # in the view two to the left the square is six pixels farther right, and the point two farther left
     assert set(hidden) == {n for n, (du, _) in enumerate(lf.offsets) if 20 - 3 * du <= 32 + du < 30 - 3 * du}
+
+
+def test_a_line_is_measured(page: Page, viewer: Viewer, lf: LightField) -> None:
+    """The profile, the distance in space and the box are those of the map; the line is drawn where it is measured."""
+    disparity, geometry = viewer.contents.entries["fast"].disparity, lf.geometry
+    assert geometry is not None
+    page.click("map", 10, 30)
+    until(lambda: marked(page)() == ["10,", "30"] or "10, 30" in page.readout(), "the pixel is chosen", page.tab)
+    page.tab.keyboard.press("l")
+    page.click("map", 40, 20)
+    box = disparity[20:31, 10:41]
+    points = geometry.points(disparity, position=tuple(lf.positions[lf.reference_index]))
+    apart = np.linalg.norm(points[20, 40] - points[30, 10])
+    page.says(f"line {np.hypot(30, 10):.1f} px; {apart:.4g} m in space; box 31 × 11: ", "#measured")
+    page.says(f"mean {box.mean():.3g} ± {box.std():.3g}, median {np.median(box):.3g}".replace("-", "−"), "#measured")
+    assert "known" not in page.tab.inner_text("#measured")
+    until(lambda: page.key("plot").endswith("10,30,40,20"), "the profile is drawn", page.tab)
+    page.tab.mouse.move(5, 5)
+    page.still()
+    for name in ("map", "view"):
+        red, green, blue = page.at(name, 25, 25)
+        assert red > 180 > 100 > green < blue, name  # the line
+    found = probe.span(viewer.contents, disparity, viewer.contents.entries["fast"], "final", [(10, 30), (40, 20)], "")
+    at = [disparity[round(30 - k / 3), 10 + k] for k in range(31)]
+    np.testing.assert_allclose(found["values"], at)
+    np.testing.assert_allclose(found["along"], np.hypot(30, 10) * np.arange(31) / 30)
+    page.tab.mouse.move(*page.spot("map", 14, 6))  # across the hole
+    page.tab.keyboard.down("Shift")
+    page.tab.mouse.down()
+    page.tab.mouse.move(*page.spot("map", 14, 10), steps=3)
+    page.tab.mouse.up()
+    page.tab.keyboard.up("Shift")
+    page.says("line 4.0 px", "#measured")
+    page.says("60 % of the box known", "#measured")
+    page.tab.keyboard.press("Escape")
+    until(lambda: not page.tab.locator("#measured").is_visible(), "the measure is gone", page.tab)
+
+
+def test_an_estimate_is_seen_around_the_pixel(page: Page, viewer: Viewer, lf: LightField) -> None:
+    """The hole of the map is filled by the preview, with the values of an estimate; nothing is added to the maps."""
+    page.click("map", 30, 30)
+    page.choose("preset", "fast")
+    names = list(viewer.contents.entries)
+    assert page.at("map", 14, 6) == GREY
+    page.tab.check("#preview")
+    until(lambda: page.at("map", 14, 6) != GREY, "the preview is drawn", page.tab)
+    span = viewer.contents.entries["fast"].result.disparity_range  # type: ignore[union-attr]
+    limits = viewer.contents.limits("disparity")
+    once = estimate_depth(lf, config="fast", disparity_range=span, check_cameras=False).disparity
+    np.testing.assert_allclose(page.at("map", 14, 6), viridis(once[6, 14], limits), atol=1)
+    page.tab.uncheck("#find-range")
+    for name, value in (("from", "-2"), ("to", "-1")):
+        page.tab.fill(f"#{name}", value)
+        page.tab.locator(f"#{name}").blur()
+    again = estimate_depth(lf, config="fast", disparity_range=(-2, -1), check_cameras=False).disparity
+    y, x = np.unravel_index(np.argmax(np.abs(again - once)[5:-5, 5:-5]), (SIZE[0] - 10, SIZE[1] - 10))
+    wanted = viridis(again[y + 5, x + 5], limits)
+    until(lambda: np.abs(np.subtract(page.at("map", x + 5, y + 5), wanted)).max() <= 1, "it has changed", page.tab)
+    assert np.abs(np.subtract(viridis(once[y + 5, x + 5], limits), wanted)).max() > 50
+    page.tab.check("#find-range")
+    page.tab.uncheck("#preview")
+    until(lambda: page.at("map", 14, 6) == GREY, "the map is there again", page.tab)
+    assert list(viewer.contents.entries) == names
 
 
 def test_dragging_an_epi_tests_a_disparity(page: Page, viewer: Viewer, lf: LightField) -> None:
@@ -93,9 +158,10 @@ def test_a_difference_is_a_map_with_its_distribution_and_shares(browser: Any, lf
         page.shown("map", "minus")
         page.says("25 % > 0.07, 25 % > 0.03, 100 % > 0.01", "#right-title")
         until(lambda: "minus" in page.key("histogram"), "its distribution is drawn", page.tab)
-        page.shown("map", "RdBu_r -0.5 0.5")
+        page.shown("map", "RdBu_r -0.07 0.07")
         assert page.at("map", 4, 30) == pytest.approx((103, 0, 31), abs=2)  # the end of the scale
-        assert min(page.at("map", 40, 30)) > 235
+        wanted = painted(np.full((1, 1), 0.02, np.float32), "RdBu_r", (-0.07, 0.07))[0, 0]
+        assert page.at("map", 40, 30) == pytest.approx(wanted, abs=3)
         asked = next(url for url in reversed(page.asked) if "data/map" in url and "minus" in url)
         with urlopen(asked, timeout=10) as answer:
             values = np.frombuffer(answer.read(), np.float32).reshape(SIZE)

@@ -7,12 +7,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from matplotlib import colormaps
 from PIL import Image
 
 from lfgpu import scenes
 from lfgpu.io import load, read_map, write_hci
 from lfgpu.viewer import Viewer
+from lfgpu.viewer.paths import COLUMNS, PICTURES, ROWS, Pose
 from tests.browser import until
 from tests.viewer.page import GREY, Page
 
@@ -91,7 +93,7 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
 
     def saved() -> list[np.ndarray]:
         with page.tab.expect_download() as download:
-            page.tab.click("#save-space")
+            page.tab.click("#save-space [value=picture]")
         download.value.save_as(tmp_path / "space.png")
         with Image.open(tmp_path / "space.png") as image:
             found = np.asarray(image.convert("RGB")).astype(int)
@@ -110,6 +112,67 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
         seen = np.asarray(image.convert("RGB")).astype(int)
     assert len(np.unique(seen.reshape(-1, 3), axis=0)) > 100
     assert ((seen[..., 0] > 200) & (seen[..., 1] < 120) & (seen[..., 2] > 90)).any()  # the mark
+
+
+def test_an_orbit_leads_back_and_views_of_a_quilt_meet_in_what_is_looked_at() -> None:
+    begin = Pose(np.array([0.4, -0.3, -1.0]), np.array([0.1, 0.2, 2.0]), 0.8)
+    poses = [begin.orbited(turn) for turn in np.linspace(0, 1, 9)]
+    assert [pose.away for pose in poses] == pytest.approx([begin.away] * 9)
+    np.testing.assert_allclose([poses[0].eye, poses[4].eye, poses[8].eye], [begin.eye] * 3, atol=1e-12)
+    sides = [float((pose.eye - begin.eye) @ begin.axes[:, 0]) for pose in poses]
+    assert sides[2] == pytest.approx(begin.away * np.sin(np.radians(20)))
+    assert sides[6] == pytest.approx(-sides[2])
+    near = (begin.eye + begin.target) / 2
+    seen, beside = [], []
+    for eye, aside in begin.beside():
+        for point, places in ((begin.target, seen), (near, beside)):
+            right, _, deep = (point - eye) @ begin.axes
+            places.append(right / deep / (2 * np.tan(begin.fov / 2)) - aside)
+    assert len(seen) == PICTURES
+    np.testing.assert_allclose(seen, 0, atol=1e-12)
+    assert (np.diff(beside) < 0).all(), "from the left, what is near is farther right"
+
+
+@pytest.mark.thorough
+def test_films_and_quilts_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_path: Path) -> None:
+    page = Page(browser, viewer, width=1000, height=500)
+    page.shown("map", "disparity")
+    page.tab.keyboard.press("d")
+    until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
+    frame = page.tab.locator("#space-frame")
+
+    def seen() -> np.ndarray:
+        with Image.open(io.BytesIO(frame.screenshot(timeout=90_000))) as image:
+            return np.asarray(image.convert("RGB")).astype(int)
+
+    until(lambda: len(np.unique(seen().reshape(-1, 3), axis=0)) > 100, "points are drawn", page.tab)
+    saved = {}
+    page.tab.keyboard.press("s")
+    for form in ("gif", "mp4", "quilt"):
+        with page.tab.expect_download(timeout=300_000) as download:
+            page.tab.click(f"#save-space [value={form}]")
+        saved[form] = tmp_path / download.value.suggested_filename
+        download.value.save_as(saved[form])
+    with Image.open(saved["gif"]) as image:
+        assert image.n_frames == PICTURES  # type: ignore[attr-defined]
+        frames = []
+        for k in (0, PICTURES // 4, PICTURES // 2):
+            image.seek(k)
+            frames.append(np.asarray(image.convert("RGB")).astype(int))
+    aside, back = (np.abs(one - frames[0]).mean() for one in frames[1:])
+    assert back < 0.2 * aside, "half way round, the eye is where it began"
+    assert saved["mp4"].read_bytes()[4:8] == b"ftyp"
+    with Image.open(saved["quilt"]) as image:
+        quilt = np.asarray(image.convert("RGB")).astype(int)
+    high, wide = quilt.shape[0] // ROWS, quilt.shape[1] // COLUMNS
+    assert saved["quilt"].stem.endswith(f"_qs{COLUMNS}x{ROWS}a{wide / high:.4g}")
+    first, second, last = quilt[-high:, :wide], quilt[-high:, wide : 2 * wide], quilt[:high, -wide:]
+    assert np.abs(first - second).mean() < 0.7 * np.abs(first - last).mean(), "views go on to the right, then upwards"
+    page.tab.keyboard.press("Escape")
+    before = seen()
+    page.tab.check("#space-orbit")
+    until(lambda: np.abs(seen() - before).mean() > 0.5 * aside, "the eye moves", page.tab)
+    page.close()
 
 
 def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(browser: Any, files: Path) -> None:

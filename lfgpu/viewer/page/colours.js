@@ -53,6 +53,13 @@ export function paintView(data, [height, width, channels], { exposure, gamma }) 
   return picture;
 }
 
+/** A picture as a canvas, which can be drawn enlarged. */
+export function asCanvas(picture) {
+  const canvas = Object.assign(document.createElement("canvas"), { width: picture.width, height: picture.height });
+  canvas.getContext("2d").putImageData(picture, 0, 0);
+  return canvas;
+}
+
 let last = {};
 
 function brightness(most, exposure, gamma) {

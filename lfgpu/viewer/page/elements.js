@@ -16,6 +16,14 @@ export function fitted(canvas) {
   return ratio;
 }
 
+/** Draw a path in strokes of [style, pixels of the page], one over the other. */
+export function stroke(context, path, ...strokes) {
+  for (const [strokeStyle, wide] of strokes) {
+    Object.assign(context, { strokeStyle, lineWidth: wide * window.devicePixelRatio });
+    context.stroke(path);
+  }
+}
+
 /** Fill a list with [value, text] pairs and choose one. */
 export function fill(select, options, chosen) {
   const wanted = JSON.stringify(options);

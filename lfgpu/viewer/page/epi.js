@@ -1,7 +1,7 @@
 // Epipolar plane images directly under and beside the view, in line with its pixels.
 
-import { paintView } from "./colours.js";
-import { fitted } from "./elements.js";
+import { asCanvas, paintView } from "./colours.js";
+import { fitted, stroke } from "./elements.js";
 import { mark } from "./picture.js";
 import { array, newest } from "./server.js";
 
@@ -79,11 +79,7 @@ export class Epi {
     if (shape[0] !== views.length) return;
     const { thick, start } = this.#layout(views.length), begin = isRow ? place.left : place.top;
     const looks = `${look.exposure} ${look.gamma}`;
-    if (this.#found.looks !== looks) {
-      const epi = Object.assign(document.createElement("canvas"), { width: shape[1], height: shape[0] });
-      epi.getContext("2d").putImageData(paintView(data, shape, look), 0, 0);
-      Object.assign(this.#found, { epi, looks });
-    }
+    if (this.#found.looks !== looks) Object.assign(this.#found, { epi: asCanvas(paintView(data, shape, look)), looks });
     if (!isRow) context.setTransform(0, 1, 1, 0, 0, 0); // columns run down
     context.imageSmoothingEnabled = false;
     context.drawImage(this.#found.epi, begin, start, shape[1] * place.scale, thick * views.length);
@@ -91,18 +87,11 @@ export class Epi {
     const ahead = (value) => views.map((index, k) => [
       begin + (pixel[axis] + 0.5 - value * lf.offsets[index][axis]) * place.scale, start + (k + 0.5) * thick,
     ]);
-    const line = (value, styles) => {
-      if (!Number.isFinite(value)) return;
-      for (const [style, wide] of styles) {
-        context.strokeStyle = style;
-        context.lineWidth = wide * ratio;
-        context.beginPath();
-        ahead(value).forEach(([x, y], k) => (k ? context.lineTo(x, y) : context.moveTo(x, y)));
-        context.stroke();
-      }
-    };
-    line(disparity, [["rgb(0 0 0 / 70%)", 5], [mark(), 2.5]]);
-    line(tested, [["rgb(0 0 0 / 70%)", 5], ["#fff", 2.5]]);
+    for (const [value, style] of [[disparity, mark()], [tested, "#fff"]]) {
+      const line = new Path2D();
+      if (Number.isFinite(value)) ahead(value).forEach((at) => line.lineTo(...at));
+      stroke(context, line, ["rgb(0 0 0 / 70%)", 5], [style, 2.5]);
+    }
     Object.assign(context, { fillStyle: "#fff", strokeStyle: "#000", lineWidth: 3 * ratio, font: `bold ${16 * ratio}px sans-serif`, textAlign: "center", textBaseline: "middle" });
     if (Number.isFinite(disparity)) ahead(disparity).forEach(([x, y], k) => { // a cross where the map has something in front
       if (hidden.includes(views[k])) context.strokeText("×", x, y), context.fillText("×", x, y);

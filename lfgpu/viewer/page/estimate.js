@@ -6,11 +6,13 @@ import { act } from "./server.js";
 export class Estimate {
   #changes = {};
 
-  constructor(presets) {
-    this.presets = presets;
+  /** @param changed  called when something of what is wished for has changed */
+  constructor(presets, changed) {
+    Object.assign(this, { presets, changed });
     $("preset").replaceChildren(...presets.map(({ name }) => element("option", { value: name, textContent: name })));
     $("preset").onchange = () => this.#show();
-    $("find-range").onchange = () => ($("range-row").hidden = $("find-range").checked);
+    $("find-range").onchange = () => this.changed(($("range-row").hidden = $("find-range").checked));
+    $("from").onchange = $("to").onchange = changed;
     $("reset").onclick = () => {
       this.#changes = {};
       this.#show();
@@ -68,16 +70,20 @@ export class Estimate {
   }
 
   #count() {
+    this.changed();
     const changes = Object.entries(this.#changes);
     $("changed").textContent = changes.length ? `(${changes.length} changed)` : "";
     $("estimate-name").placeholder = [$("preset").value, ...changes.map(([name, value]) => `${name.split(".")[1]} ${value}`)].join(", ");
   }
 
-  #start() {
+  /** What is to be estimated. */
+  get wish() {
     const range = $("find-range").checked ? null : [$("from").valueAsNumber, $("to").valueAsNumber];
-    orTell(() => act("estimate", {
-      preset: $("preset").value, values: this.#changes, range, name: $("estimate-name").value.trim() || $("estimate-name").placeholder,
-    }));
+    return { preset: $("preset").value, values: this.#changes, range };
+  }
+
+  #start() {
+    orTell(() => act("estimate", { ...this.wish, name: $("estimate-name").value.trim() || $("estimate-name").placeholder }));
   }
 
   /** Show how far the estimate is, and offer what can be done. */

@@ -28,7 +28,7 @@ export function setUpFiles(formats, now) {
   $("save-map").onclick = () => savePicture(now().mapSource, `${name()}-${now().ui.quantity}`);
   $("save-view").onclick = () => savePicture(now().viewSource, `${name()}-view`);
   $("save-page").onclick = () => save(now(), "page", { sight: location.hash.slice(1) });
-  $("save-space").onclick = () => save(now(), "space", { tab: now().tab });
+  for (const button of $("save-space").children) button.onclick = () => save(now(), "space", { tab: now().tab, form: button.value });
 }
 
 function openSaving({ state, ui }) {
@@ -36,7 +36,7 @@ function openSaving({ state, ui }) {
   $("save-what").textContent = chosen ? ui.result + (ui.stage === "final" ? "" : `, after ${ui.stage}`) : "none yet";
   for (const button of [...$("formats").querySelectorAll("button"), $("save-map"), $("save-figure")]) button.disabled = !chosen;
   $("save-view").disabled = !state.lightField;
-  $("save-space").disabled = ui.right !== "space";
+  for (const button of $("save-space").children) button.disabled = ui.right !== "space";
   $("save-space").title = ui.right === "space" ? "As the frame shows it, without marks" : "Open the tab 3D first";
   const of = state.lightField?.name ?? "", result = chosen ? ui.result : "";
   const plain = result.startsWith(of) ? result || of : [of, result].filter(Boolean).join("-");

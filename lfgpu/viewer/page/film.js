@@ -1,6 +1,6 @@
 // The frames of a film: one by one, by a slider, or played.
 
-import { $, tell } from "./elements.js";
+import { $, orTell } from "./elements.js";
 import { act, newest } from "./server.js";
 
 const PACE = 80; // milliseconds between two frames at least
@@ -12,7 +12,11 @@ export class Film {
   /** @param now  () => the state of the server;  @param isComplete  () => whether all pictures of it are drawn */
   constructor(now, isComplete) {
     Object.assign(this, { now, isComplete });
-    this.ask = newest((frame) => act("turn", { frame }).catch((error) => this.#failed(error)), () => {});
+    this.ask = newest((frame) => orTell(() => act("turn", { frame })), (isDone) => {
+      if (isDone) return;
+      this.#wanted = null;
+      if (this.#timer) this.toggle();
+    });
     $("previous").onclick = () => this.step(-1);
     $("following").onclick = () => this.step(1);
     $("play").onclick = () => this.toggle();
@@ -46,12 +50,6 @@ export class Film {
     const isPlaying = !this.#timer && this.#frames.length > 1;
     this.#timer = isPlaying ? setInterval(() => this.#wanted === null && this.isComplete() && this.step(1), PACE) : 0;
     $("play").textContent = isPlaying ? "Stop" : "Play";
-  }
-
-  #failed(error) {
-    tell(error instanceof TypeError ? "The server does not answer." : error.message);
-    this.#wanted = null;
-    if (this.#timer) this.toggle();
   }
 
   #turn(at) {

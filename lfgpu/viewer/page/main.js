@@ -1,13 +1,13 @@
 // The page of the viewer: what is shown follows from the state of the server and from what was chosen in this tab.
 
 import { drawScale } from "./colourbar.js";
-import { css, learn, paintMap, paintView } from "./colours.js";
-import { $, element, fill, number, orTell, tell } from "./elements.js";
+import { asCanvas, css, learn, paintMap, paintView } from "./colours.js";
+import { $, element, fill, number, orTell, stroke, tell } from "./elements.js";
 import { Epi } from "./epi.js";
 import { Estimate } from "./estimate.js";
 import { setUpFiles } from "./files.js";
 import { Film } from "./film.js";
-import { Picture, drawCross, drawDot } from "./picture.js";
+import { Picture, drawCross, drawDot, drawSpan } from "./picture.js";
 import { act, array, connect, newest, values } from "./server.js";
 import { Sight } from "./sight.js";
 import { Space } from "./space.js";
@@ -30,11 +30,13 @@ const ui = new Store({
   view: 0, camera: null, // [du, dv] of one between the views
   sway: null, pixel: null, found: null, hover: null, // found: the values at the pixel
   tested: null, costs: null, // a disparity that is tried at the pixel, and what all of them cost there
+  from: null, span: null, // where a line to the pixel begins, and what was measured along it
+  preview: false, previewed: null, // whether there is one, and { data, shape, left, top }
   quantity: "disparity", result: NOTHING, stage: FINAL, other: NOTHING, third: NOTHING, fourth: NOTHING, compare: "wipe", flipped: false,
   difference: null, plot: "values", alone: null, widths: {}, // of the settings, pixels, and of the views, shares
   colourMaps: {}, ranges: {}, // of each quantity, where they were changed
   exposure: 0, gamma: 1, left: "view", right: "map", focus: 0, aperture: 0,
-  mesh: false, paint: PICTURE, metric: true, least: 0.5, size: 1.3, background: "page", cameras: false,
+  mesh: false, paint: PICTURE, metric: true, least: 0.5, size: 1.3, background: "page", cameras: false, orbit: false,
 });
 
 // --- what is shown ---
@@ -56,29 +58,19 @@ function scale(kind = kindShown()) {
   return { colours: ui.colourMaps[kind] ?? fixed.quantities[kind].colours, low, high, extent: known?.extent };
 }
 
-function mapSource(name, kind = ui.quantity, stage = FINAL) {
-  const one = entry(name);
-  if (!one?.kinds.includes(kind)) return null;
-  const { colours, low, high } = scale(kind);
+/** A map, or the map `minus` another one, which is the final one of its result. */
+function mapSource(name, kind = ui.quantity, stage = FINAL, minus = NOTHING) {
+  const one = entry(name), other = minus && mapSource(minus, kind);
+  if (!one?.kinds.includes(kind) || (minus && !other)) return null;
+  const shades = scale(minus ? "difference" : kind), key = `map ${one.identity} ${kind} ${stage}${kind === "error" ? ` ${state.views}` : ""}`;
   return {
-    key: `map ${one.identity} ${kind} ${stage}${kind === "error" ? ` ${state.views}` : ""}`, size: state.size, what: "map", isMap: true,
-    query: { result: name, kind, stage, of: state.revision }, look: `${colours} ${low} ${high}`,
-    paint: (data, shape) => paintMap(data, shape, { colours, low, high }),
+    key: other ? `${key} minus ${other.key}` : key, size: state.size, what: "map", isMap: true,
+    query: { result: name, kind, stage, of: state.revision, ...(minus ? { minus } : {}) }, look: `${shades.colours} ${shades.low} ${shades.high}`,
+    paint: (data, shape) => paintMap(data, shape, shades),
   };
 }
 
-/** The first map minus the second one. */
-function differenceSource() {
-  const first = mapSource(ui.result, ui.quantity, ui.stage), second = mapSource(ui.other);
-  if (!first || !second) return null;
-  const { colours, low, high } = scale("difference");
-  return {
-    ...first, key: `${first.key} minus ${second.key}`, query: { ...first.query, minus: ui.other }, look: `${colours} ${low} ${high}`,
-    paint: (data, shape) => paintMap(data, shape, { colours, low, high }),
-  };
-}
-
-const shownSource = () => (isMinus() ? differenceSource() : mapSource(ui.result, ui.quantity, ui.stage));
+const shownSource = () => mapSource(ui.result, ui.quantity, ui.stage, isMinus() ? ui.other : NOTHING);
 
 function viewSource(index = ui.view) {
   if (!lf()) return null;
@@ -169,6 +161,7 @@ const view = new Picture($("view"), viewport, {
   }),
   overlay: (context, place) => {
     const at = isOfReference() ? ui.pixel : pixelInView(), over = ui.hover?.pane === "right" && ui.hover.pixel;
+    if (spanned() && !offsetOf("left").some(Boolean)) drawSpan(context, place, ...spanned());
     if (at) drawCross(context, place, ...at);
     const [du, dv] = offsetOf("left"), disparity = ui.hover?.values?.disparity ?? NaN;
     if (over && (Number.isFinite(disparity) || !(du || dv))) drawDot(context, place, over[0] - (du && disparity * du), over[1] - (dv && disparity * dv));
@@ -185,12 +178,18 @@ const view = new Picture($("view"), viewport, {
 });
 const onMap = {
   point: (x, y) => point("right", x, y),
+  drag: (dx, dy, { shiftKey }, from, to) => {
+    if (shiftKey && from && to) measure(from, to);
+    return shiftKey;
+  },
   choose: (x, y) => choose(x, y, [0, 0]),
   wipe: (share) => {
     map.wipe = share;
     map.draw();
   },
   overlay: (context, place) => {
+    if (ui.previewed && kindShown() === "disparity") drawPreview(context, place, ui.previewed);
+    if (spanned()) drawSpan(context, place, ...spanned());
     if (ui.pixel) drawCross(context, place, ...ui.pixel);
     if (ui.hover?.pixel && (ui.hover.pane === "left" || mapsBeside().length > 1)) drawDot(context, place, ...ui.hover.pixel);
   },
@@ -238,17 +237,26 @@ function testDisparity(tested) {
   ui.set({ tested, plot: "costs", ...(ui.left === "refocused" ? { focus: tested } : {}) });
 }
 
-const [askCosts, askDifference] = ["costs", "difference"].map((name) => newest((query) => values(name, query), (found, { key }) => ui.set({ [name]: { ...found, key } })));
+/** Measure from one pixel to another one, by default from the chosen one to the next that is chosen. */
+const measure = (from = ui.pixel, pixel = from) => ui.set({ from, pixel, plot: "span" });
+const spanned = () => (ui.plot === "span" && ui.pixel ? [ui.from ?? ui.pixel, ui.pixel] : null);
+
+const [askCosts, askDifference, askSpan] = ["costs", "difference", "span"].map((name) => newest((query) => values(name, query), (found, { key }) => ui.set({ [name]: { ...found, key } })));
 
 /** What is drawn of the chosen pixel under the map. */
 function showPlot() {
   const one = entry(ui.result), isCosts = ui.plot === "costs" && Boolean(lf() && ui.pixel && one);
-  $("plot").hidden = !isCosts;
+  $("plot").hidden = !isCosts && ui.plot !== "span";
   select("plot-tabs", ui.plot);
+  const measured = spanned() && shownSource(), [[x0, y0], [x, y]] = spanned() ?? [[], []], name = measured && `${measured.key} ${spanned()}`;
+  if (measured && ui.span?.key !== name) askSpan({ ...measured.query, x0, y0, x, y, key: name });
+  $(ui.right === "space" || mapsBeside().length > 1 ? "results" : "plots").append($("measured")); // there, pictures stay as they are
+  Object.assign($("measured"), { hidden: !measured, textContent: (measured && ui.span?.said) || "…" });
+  if (measured) return plot.show(ui.span && { key: ui.span.key, x: ui.span.along, unit: "px", isSigned: true, marks: [], lines: [{ label: kindShown(), values: ui.span.values }] });
   const key = isCosts && `${state.views} ${one.identity} ${ui.stage} ${ui.pixel}`;
   if (isCosts && ui.costs?.key !== key) askCosts({ ...here(...ui.pixel, [0, 0]), key });
   const known = isCosts && ui.costs, { found, uncertainty } = known || {}, tested = ui.tested === null ? [] : [{ at: ui.tested, dashed: true }];
-  plot.show(known ? {
+  return plot.show(known ? {
     key: `costs ${known.key} ${ui.tested ?? ""}`, x: known.disparities, unit: "disparity, px",
     lines: [{ label: "difference to all views, of 255", values: known.mean, faint: true }, { label: "to the better half", values: known.best }],
     marks: [...(found === null ? [] : [{ at: found }]), ...tested], band: found !== null && uncertainty ? [found - uncertainty, found + uncertainty] : null,
@@ -274,6 +282,30 @@ const askFound = newest((query) => values("at", query), (found, { of }) => ui.se
 function findPixel() {
   if (!state?.size || !ui.pixel) return;
   askFound(here(...ui.pixel, [0, 0]));
+}
+
+// --- a preview of an estimate around the pixel ---
+
+const PREVIEW = 128; // pixels of its sides
+
+const askPreview = newest((query) => array("preview", query), (found, query) => ui.set({ previewed: ui.preview ? { ...found, ...query } : null }));
+
+function showPreview() {
+  if (!ui.preview || !lf() || !ui.pixel) return ui.set({ previewed: null });
+  const [[left, right], [top, bottom]] = ui.pixel.map((at, axis) => {
+    const side = state.size[1 - axis], from = Math.max(0, Math.min(at - PREVIEW / 2, side - PREVIEW));
+    return [from, Math.min(from + PREVIEW, side)];
+  });
+  return askPreview({ wish: JSON.stringify(estimate.wish), result: ui.result, of: state.revision, left, top, right, bottom });
+}
+ui.on("preview pixel", showPreview);
+
+function drawPreview(context, { scale: size, ...place }, { data, shape: [height, width], left, top }) {
+  const box = [place.left + left * size, place.top + top * size, width * size, height * size], frame = new Path2D();
+  context.imageSmoothingEnabled = false;
+  context.drawImage(asCanvas(paintMap(data, [height, width], scale("disparity"))), ...box);
+  frame.rect(...box);
+  stroke(context, frame, ["#000", 4], ["#fff", 2]);
 }
 
 // --- where things stand ---
@@ -363,10 +395,6 @@ function showLeft() {
   const source = viewSource();
   view.show(source);
   $("focus-bar").hidden = ui.left !== "refocused";
-  $("focus").value = ui.focus;
-  $("aperture").value = ui.aperture;
-  $("focus").nextElementSibling.textContent = `${short(ui.focus)} px`;
-  $("aperture").nextElementSibling.textContent = `${short(ui.aperture)} steps`;
   select("left-tabs", ui.left);
   layout();
   const title = $("left-title");
@@ -414,7 +442,7 @@ const mapsBeside = () => (ui.compare === "side" ? [ui.result, ...OTHERS.map((nam
 function showMaps() {
   const one = entry(ui.result), other = entry(ui.other), quantity = fixed.quantities[ui.quantity], beside = mapsBeside();
   const first = mapSource(ui.result, ui.quantity, ui.stage), second = other && mapSource(ui.other);
-  const mode = second ? ui.compare : "one", minus = mode === "minus" && differenceSource();
+  const mode = second ? ui.compare : "one", minus = mode === "minus" && shownSource();
   otherMaps.forEach((picture, k) => {
     const name = beside[k + 1];
     picture.canvas.parentElement.hidden = !name;
@@ -430,22 +458,13 @@ function showMaps() {
   const lacks = other?.isTruth && ui.quantity === "error" ? "errors are against the ground truth" : `${named(ui.other)} has no ${quantity.label.toLowerCase()}`;
   label("wipe-label", mode === "wipe" ? `${named(ui.other)} ▶` : other && !second && lacks);
   label("map-note", !one && `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
-  const unit = quantity.unit && ` (${quantity.unit})`, hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
-  if (ui.right === "space" && one) {
-    const painted = fixed.quantities[ui.paint], units = painted?.unit && ` (${painted.unit})`;
-    const colour = painted ? `; colour: ${painted.label.toLowerCase()}${units}` : "";
-    $("right-title").replaceChildren(element("b", { textContent: ui.mesh ? "Surface" : "Points" }), ` of ${named(ui.result, ui.stage)}${colour}`);
-  } else if (!one) $("right-title").textContent = "";
-  else {
-    const what = first ? element("b", { textContent: quantity.label }) : element("b", { textContent: `No ${quantity.label.toLowerCase()}` });
-    $("right-title").replaceChildren(what, ` of ${named(ui.result, ui.stage)}${unit}`);
-    if (one.isTruth && !state.results.some((each) => !each.isTruth)) $("right-title").append("; no estimate yet");
-    else if (one.earlier) $("right-title").append("; of another frame");
-  }
-  if (minus && ui.difference) {
-    const shares = ui.difference.shares.map(([threshold, share]) => `${short(share)} % > ${threshold}`).join(", ");
-    $("right-title").replaceChildren(element("b", { textContent: "Difference" }), ` ${shares}`);
-  }
+  const inUnits = ({ label, unit }) => [label, unit && ` (${unit})`], hint = [quantity.hint, "grey: undefined"].filter(Boolean).join("; ");
+  const painted = fixed.quantities[ui.paint], shares = (minus && ui.difference?.shares) || null, isAlone = one?.isTruth && state.results.every(({ isTruth }) => isTruth);
+  const of = one && ` of ${named(ui.result, ui.stage)}`, [what, words] = !one ? ["", ""]
+    : ui.right === "space" ? [ui.mesh ? "Surface" : "Points", painted ? `${of}; colour: ${inUnits(painted).join("").toLowerCase()}` : of]
+    : shares ? ["Difference", shares.map(([threshold, share]) => ` ${short(share)} % > ${threshold}`).join(",")]
+    : [first ? quantity.label : `No ${quantity.label.toLowerCase()}`, of + inUnits(quantity)[1] + (isAlone ? "; no estimate yet" : one.earlier ? "; of another frame" : "")];
+  $("right-title").replaceChildren(element("b", { textContent: what }), words);
   $("right-title").title = hint;
   space.note(one ? "" : `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   showHistogram();
@@ -527,23 +546,11 @@ function showChoices() {
   $("space-cameras").parentElement.title = state.metric ? "" : "The place of cameras needs a geometry";
 }
 
-const output = (id, text) => ($(id).nextElementSibling.textContent = text);
-
-function showSliders() {
-  $("exposure").value = ui.exposure;
-  $("gamma").value = ui.gamma;
-  output("exposure", signed(ui.exposure));
-  output("gamma", ui.gamma.toFixed(2));
-  output("space-least", ui.least.toFixed(2));
-  output("space-size", ui.size.toFixed(1));
-}
-
 function showParts() {
   const isSpace = ui.right === "space";
   select("right-tabs", ui.right);
   $("maps").hidden = isSpace;
-  $("space").hidden = !isSpace;
-  $("space-section").hidden = !isSpace;
+  $("space").hidden = $("space-section").hidden = !isSpace;
   const part = document.body.dataset.show;
   for (const button of document.querySelectorAll("nav button")) button.setAttribute("aria-current", button.dataset.value === part);
 }
@@ -584,27 +591,19 @@ ui.on("view camera left result stage focus aperture exposure gamma", showLeft);
 ui.on("view camera exposure gamma", showThumbnails);
 ui.on("pixel exposure gamma", showEpis);
 ui.on("pixel result stage other", findPixel);
-ui.on("found view camera left", () => {
-  pictures.forEach((one) => one.draw());
-  epis.forEach((one) => one.draw());
-  showHistogram();
-});
+ui.on("found view camera left", showHistogram);
 ui.on("quantity result stage other third fourth compare flipped colourMaps ranges right mesh paint difference plot", showMaps);
 ui.on("alone widths plot", showWidths);
-ui.on("costs tested pixel", () => {
-  showPlot();
-  pictures.concat(epis).forEach((one) => one.draw());
-});
+ui.on("costs tested pixel from span", showPlot);
 ui.on("quantity result stage other third fourth compare metric paint", showChoices);
 ui.on("result", showFindings);
-ui.on("exposure gamma least size", showSliders);
 ui.on("right", showParts);
 ui.on("hover found other quantity tested", showReadout);
-ui.on("hover", () => pictures.forEach((one) => one.draw()));
+ui.on("found view camera left costs tested pixel from span previewed hover", () => [...pictures, ...epis].forEach((one) => one.draw()));
 
 // --- the state of the server ---
 
-const estimate = new Estimate(fixed.presets);
+const estimate = new Estimate(fixed.presets, showPreview);
 
 const PATIENCE = 2000; // milliseconds that pictures have to come before the next state is taken
 
@@ -635,6 +634,8 @@ function takeNow(next) {
   takenLast = performance.now();
   const other = !before || before.lightField?.name !== state.lightField?.name || String(before.size) !== String(state.size)
     || before.lightField?.views !== state.lightField?.views;
+  const span = state.scales.disparity?.limits ?? [-3, 3], margin = 0.2 * (span[1] - span[0]);
+  [$("focus").min, $("focus").max] = [span[0] - margin, span[1] + margin];
   if (other && state.size) {
     $("aperture").max = lf()?.aperture ?? 1;
     viewport.fit(state.size);
@@ -646,8 +647,6 @@ function takeNow(next) {
     sight = new Sight(ui, viewport, () => !home && !state.frame, applySight);
     sight.open(hash);
   }
-  const span = state.scales.disparity?.limits ?? [-3, 3], margin = 0.2 * (span[1] - span[0]);
-  [$("focus").min, $("focus").max] = [span[0] - margin, span[1] + margin];
   $("left").hidden = !lf();
   document.querySelector("main").hidden = $("readout").hidden = !state.size;
   $("nothing").hidden = Boolean(state.size || state.loading);
@@ -692,7 +691,7 @@ function applySight(values) {
 function beginning() {
   const [height, width] = state.size, light = lf();
   return {
-    view: light?.reference ?? 0, camera: null, exposure: light?.exposure ?? 0, gamma: 1, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null,
+    view: light?.reference ?? 0, camera: null, exposure: light?.exposure ?? 0, gamma: 1, pixel: [Math.floor(width / 2), Math.floor(height / 2)], hover: null, found: null, from: null, previewed: null,
     focus: 0, aperture: light?.aperture ?? 0, ranges: {}, metric: true, ...(light ? {} : { left: "view" }),
   };
 }
@@ -762,17 +761,20 @@ function showStream() {
 
 // --- what people do ---
 
-const pick = (id, name, turn = (value) => value) => ($(id).onchange = () => ui.set({ [name]: turn($(id).value) }));
-const slide = (id, name) => ($(id).oninput = () => ui.set({ [name]: $(id).valueAsNumber }));
-for (const name of ["quantity", "result", "stage", ...OTHERS]) pick(name, name);
-pick("space-paint", "paint");
-pick("space-background", "background");
-pick("space-mesh", "mesh", Boolean);
-pick("space-metric", "metric", Boolean);
-for (const name of ["exposure", "gamma", "focus", "aperture"]) slide(name, name);
-slide("space-least", "least");
-slide("space-size", "size");
-$("space-cameras").onchange = () => ui.set({ cameras: $("space-cameras").checked });
+const SAID = { // of sliders
+  exposure: signed, gamma: (value) => value.toFixed(2), focus: (value) => `${short(value)} px`, aperture: (value) => `${short(value)} steps`,
+  least: (value) => value.toFixed(2), size: (value) => value.toFixed(1),
+};
+for (const field of document.querySelectorAll("[data-ui]")) { // each shows a value of this tab, and sets it
+  const name = field.dataset.ui, isBoolean = typeof ui[name] === "boolean", show = () => {
+    if (field.type === "checkbox") field.checked = ui[name];
+    else field.value = isBoolean ? (ui[name] ? "1" : "") : ui[name];
+    if (name in SAID) field.nextElementSibling.textContent = SAID[name](ui[name]);
+  };
+  field.oninput = () => ui.set({ [name]: field.type === "range" ? field.valueAsNumber : field.type === "checkbox" ? field.checked : isBoolean ? Boolean(field.value) : field.value });
+  ui.on(name, show);
+  show();
+}
 $("space-start").onclick = () => space.startOver();
 $("as-stored").onclick = () => ui.set({ exposure: 0, gamma: 1 });
 $("colours").onchange = () => ui.set({ colourMaps: { ...ui.colourMaps, [kindShown()]: $("colours").value } });
@@ -796,7 +798,7 @@ function showLeftAs(left) {
 }
 press("left-tabs", showLeftAs);
 press("right-tabs", (value) => ui.set({ right: value }));
-$("plot-tabs").onclick = ({ target }) => "value" in target.dataset && ui.set({ plot: target.dataset.value || (ui.plot ? "" : "values") });
+$("plot-tabs").onclick = ({ target }) => target.dataset.value === "span" ? measure() : "value" in target.dataset && ui.set({ plot: target.dataset.value || (ui.plot ? "" : "values") });
 const toggleAlone = () => ui.set({ alone: !document.querySelector("main").classList.contains("alone") });
 $("alone").onclick = toggleAlone;
 press("compare", (value) => ui.set({ compare: value, flipped: value === "flip" && !ui.flipped }));
@@ -814,8 +816,7 @@ function walk(by) {
   if (names.length) ui.set({ result: names[(names.indexOf(ui.result) + by + names.length) % names.length] });
 }
 
-function enlarge(factor) {
-  const one = map.canvas.offsetParent ? map : view;
+function enlarge(factor, one = map.canvas.offsetParent ? map : view) {
   viewport.enlarge(one, one.canvas.width / 2, one.canvas.height / 2, factor);
 }
 
@@ -842,7 +843,8 @@ const KEYS = {
   ".": () => film.step(1),
   p: () => film.toggle(),
   x: toggleAlone,
-  escape: () => ui.set({ tested: null }),
+  l: () => state?.size && measure(),
+  escape: () => ui.set({ tested: null, from: null, plot: ui.plot === "span" ? "values" : ui.plot }),
   "?": () => $("help").showModal(),
 };
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -911,6 +913,7 @@ function scene() {
     result: ui.result, stage: ui.stage, metric: ui.metric && state.metric, paint: ui.paint, colours, low, high,
     exposure: ui.exposure, gamma: ui.gamma, least: ui.least, size: ui.size, mesh: ui.mesh, cameras: ui.cameras, background: ui.background === "page" ? page : ui.background,
     dark: dark.matches, aspect: box.height ? box.width / box.height : 1, x: ui.pixel?.[0] ?? 0, y: ui.pixel?.[1] ?? 0,
+    orbit: ui.orbit, x0: spanned()?.[0][0] ?? -1, y0: spanned()?.[0][1] ?? -1,
   };
 }
 
@@ -925,6 +928,5 @@ const send = connect((words) => {
   document.body.classList.toggle("gone", !isThere);
 });
 const space = new Space(send, scene, pressed);
-ui.on("right result stage metric paint exposure gamma least size mesh cameras background pixel colourMaps ranges", () => space.refresh());
+ui.on("right result stage metric paint exposure gamma least size mesh cameras background pixel colourMaps ranges orbit from plot", () => space.refresh());
 showParts();
-showSliders();

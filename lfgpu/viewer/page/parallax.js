@@ -100,30 +100,23 @@ export class Parallax {
    * The picture of a camera, as a canvas.
    * @param at  [du, dv] of the camera from the reference, view steps
    * @param map  { key, data, shape, step }: disparities of every `step`-th pixel
-   * @param views  [{ key, offset, picture }] of those that have come, in pixels of the map
+   * @param views  [{ key, offset, picture }] of those that have come, in pixels of the map, the nearest ones first
    */
   draw(at, map, views) {
     const gl = this.#gl, [height, width] = map.shape;
-    const sorted = views.map((view) => ({ ...view, far: (view.offset[0] - at[0]) ** 2 + (view.offset[1] - at[1]) ** 2 })).sort((a, b) => a.far - b.far);
-    const weight = (far) => 1 / (far + 1e-4), least = sorted[NEAREST] ? weight(sorted[NEAREST].far) : 0;
-    const chosen = Array.from({ length: NEAREST }, (_, k) => sorted[k] ?? sorted[0]);
+    const weight = ({ offset }) => 1 / ((offset[0] - at[0]) ** 2 + (offset[1] - at[1]) ** 2 + 1e-4), least = views[NEAREST] ? weight(views[NEAREST]) : 0;
+    const chosen = Array.from({ length: NEAREST }, (_, k) => views[k] ?? views[0]);
     this.#takeMap(map);
     Object.assign(this.canvas, { width, height });
     gl.viewport(0, 0, width, height);
-    const place = (name) => gl.getUniformLocation(this.#program, name), { range } = this.#map;
-    gl.uniform2f(place("size"), width, height);
-    gl.uniform2f(place("at"), ...at);
-    gl.uniform2f(place("range"), ...range);
-    gl.uniform1f(place("steps"), Math.min(MOST_STEPS, Math.ceil(1 + (range[1] - range[0]) * Math.max(...at.map(Math.abs)))));
-    gl.uniform2fv(place("offsets"), chosen.flatMap(({ offset }) => offset));
-    gl.uniform1fv(place("weights"), chosen.map(({ far }, k) => (k < sorted.length ? weight(far) - least : 0)));
-    gl.uniform1iv(place("views"), chosen.map((_, k) => k + 1));
-    gl.uniform1i(place("map"), 0);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, this.#map.texture);
-    const textures = chosen.map((view) => this.#view(view));
-    textures.forEach((texture, k) => {
-      gl.activeTexture(gl.TEXTURE1 + k);
+    const { range } = this.#map, steps = Math.min(MOST_STEPS, Math.ceil(1 + (range[1] - range[0]) * Math.max(...at.map(Math.abs))));
+    for (const [name, kind, value] of [
+      ["size", "2fv", [width, height]], ["at", "2fv", at], ["range", "2fv", range], ["steps", "1fv", [steps]], ["map", "1iv", [0]],
+      ["views", "1iv", chosen.map((_, k) => k + 1)], ["offsets", "2fv", chosen.flatMap(({ offset }) => offset)],
+      ["weights", "1fv", chosen.map((view, k) => (k < views.length ? weight(view) - least : 0))],
+    ]) gl[`uniform${kind}`](gl.getUniformLocation(this.#program, name), value);
+    [this.#map.texture, ...chosen.map((view) => this.#view(view))].forEach((texture, k) => {
+      gl.activeTexture(gl.TEXTURE0 + k);
       gl.bindTexture(gl.TEXTURE_2D, texture);
     });
     gl.activeTexture(gl.TEXTURE0);

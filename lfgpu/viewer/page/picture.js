@@ -1,6 +1,6 @@
 // A canvas that shows a picture of tiles, moves and enlarges it, and tells where somebody points.
 
-import { fitted, number } from "./elements.js";
+import { fitted, number, stroke } from "./elements.js";
 import { coarsest, numbers, sideAt, tile, want } from "./tiles.js";
 
 const LEGIBLE = 34; // pixels of the screen for one of a map: its value can be written there
@@ -19,8 +19,8 @@ export class Picture {
   /**
    * @param canvas
    * @param viewport  shared by all pictures that move together
-   * @param on  { point(x, y or null), choose(x, y), grasp(), drag(dx, dy, event), wipe(share), overlay(context, place), complete(),
-   *   next() }; `drag` returns whether it did something, else the picture moves; `next` gives the sources that are
+   * @param on  { point(x, y or null), choose(x, y), grasp(), drag(dx, dy, event, from, to), wipe(share), overlay(context, place),
+   *   complete(), next() }; `drag`, which knows the pixels, returns whether it did something, else the picture moves; `next` gives the sources that are
    *   probably looked at next
    */
   constructor(canvas, viewport, on) {
@@ -268,7 +268,7 @@ export class Picture {
         const far = Math.hypot(spot[0] - this.begin[0], spot[1] - this.begin[1]);
         if (this.gesture === "click" && far > CLICK * window.devicePixelRatio) this.gesture = "move";
         const by = [spot[0] - before[0], spot[1] - before[1]];
-        if (this.gesture === "move" && !this.on.drag?.(...by, event)) this.viewport.move(this, ...by);
+        if (this.gesture === "move" && !this.on.drag?.(...by, event, this.pixel(this.begin), this.pixel(spot))) this.viewport.move(this, ...by);
       }
       this.#pointers.set(event.pointerId, spot);
     });
@@ -313,18 +313,25 @@ export function drawCross(context, place, x, y) {
   for (const [from, to] of [[0, at[0] - ring], [at[0] + ring, width]]) if (to > from) lines.moveTo(from, at[1]), lines.lineTo(to, at[1]);
   for (const [from, to] of [[0, at[1] - ring], [at[1] + ring, height]]) if (to > from) lines.moveTo(at[0], from), lines.lineTo(at[0], to);
   circle.arc(...at, ring, 0, 7);
-  for (const [path, strokeStyle, wide] of [[lines, "rgb(0 0 0 / 45%)", 3], [lines, "rgb(255 255 255 / 85%)", 1], [circle, "rgb(0 0 0 / 60%)", 4], [circle, mark(), 2]]) {
-    Object.assign(context, { strokeStyle, lineWidth: wide * ratio });
-    context.stroke(path);
-  }
+  stroke(context, lines, ["rgb(0 0 0 / 45%)", 3], ["rgb(255 255 255 / 85%)", 1]);
+  stroke(context, circle, ["rgb(0 0 0 / 60%)", 4], [mark(), 2]);
   context.restore();
 }
 
+/** A line between two pixels of a picture, and the box that they span. */
+export function drawSpan(context, { left, top, scale }, from, to) {
+  const line = new Path2D(), box = new Path2D(), at = (x, y) => [left + x * scale, top + y * scale];
+  for (const [x, y] of [from, to]) line.lineTo(...at(x + 0.5, y + 0.5));
+  box.rect(...at(...from.map((_, axis) => Math.min(from[axis], to[axis]))), ...from.map((_, axis) => (Math.abs(from[axis] - to[axis]) + 1) * scale));
+  stroke(context, box, ["rgb(0 0 0 / 45%)", 3], ["rgb(255 255 255 / 85%)", 1]);
+  stroke(context, line, ["rgb(0 0 0 / 60%)", 5], [mark(), 2.5]);
+}
+
 /** A dot on a pixel of a picture: where somebody points in another one. */
-export function drawDot(context, place, x, y) {
+export function drawDot(context, place, x, y, radius = 4) {
   const ratio = window.devicePixelRatio;
   context.beginPath();
-  context.arc(place.left + (x + 0.5) * place.scale, place.top + (y + 0.5) * place.scale, 4 * ratio, 0, 7);
+  context.arc(place.left + (x + 0.5) * place.scale, place.top + (y + 0.5) * place.scale, radius * ratio, 0, 7);
   Object.assign(context, { fillStyle: "#fff", strokeStyle: "#000", lineWidth: 1.5 * ratio });
   context.fill();
   context.stroke();

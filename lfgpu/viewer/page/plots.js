@@ -25,7 +25,7 @@ export class Plot {
 
   /**
    * Show lines or bars; null for none.
-   * @param wanted  { key, unit, x: [], lines: [{ label, values, faint, fills }], marks: [{ at, dashed }], band: [from, to],
+   * @param wanted  { key, unit, isSigned, x: [], lines: [{ label, values, faint, fills }], marks: [{ at, dashed }], band: [from, to],
    *   range: [low, high] }; with `fills`, colours of bars, these are drawn
    */
   show(wanted) {
@@ -46,7 +46,7 @@ export class Plot {
     }));
     this.#plot = new uPlot({
       width, height: height - (hasLegend ? 22 : 0), padding: [8, 8, 0, 0], legend: { show: hasLegend },
-      scales: { x: { time: false }, y: { range: (_, low, high) => [0, high || 1] } },
+      scales: { x: { time: false }, y: { range: (_, low, high) => (wanted.isSigned ? uPlot.rangeNum(low ?? 0, high ?? 1, 0.1, true) : [0, high || 1]) } },
       cursor: { y: false, points: { size: 5 }, drag: { x: false }, x: !this.ranged },
       axes: [{ ...axis, size: 26 }, { ...axis, size: 44, values: (_, all) => all.map((one) => `${one}${wanted.unit === "%" ? " %" : ""}`) }],
       series: [{ label: wanted.unit, value: said(4) }, ...series],

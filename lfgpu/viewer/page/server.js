@@ -28,11 +28,11 @@ export async function values(what, query = {}) {
   return (await checked(await fetch(address(`data/${what}`, query)))).json();
 }
 
-/** Ask for something to be done. */
+/** Ask for something to be done; true when it is. */
 export async function act(what, wish = {}) {
-  await checked(await fetch(`do/${what}`, {
+  return Boolean(await checked(await fetch(`do/${what}`, {
     method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(wish),
-  }));
+  })));
 }
 
 /** A file of the server, to be saved by the browser. */

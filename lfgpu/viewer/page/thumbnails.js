@@ -1,8 +1,9 @@
 // All views, small, where their cameras stand; the current one has a frame, the reference view a dot.
 
 import { array } from "./server.js";
-import { paintView } from "./colours.js";
-import { mark } from "./picture.js";
+import { asCanvas, paintView } from "./colours.js";
+import { stroke } from "./elements.js";
+import { drawDot, mark } from "./picture.js";
 
 const LEAST = 12; // pixels of a cell: smaller ones are put in lines one below the other
 
@@ -54,30 +55,19 @@ export class Thumbnails {
     const painted = `${this.key} ${look.exposure} ${look.gamma} ${canvas.width} ${canvas.height}`;
     if (painted !== this.#painted) {
       this.#grid = Object.assign(document.createElement("canvas"), { width: canvas.width, height: canvas.height });
-      const grid = this.#grid.getContext("2d"), one = Object.assign(document.createElement("canvas"), { width, height });
+      const grid = this.#grid.getContext("2d");
       grid.scale(ratio, ratio);
       this.#boxes.forEach(([left, top], n) => {
-        one.getContext("2d").putImageData(paintView(this.#sprites[n].data, this.#sprites[n].shape, look), 0, 0);
-        grid.drawImage(one, left + 0.5, top + 0.5, wide - 1, high - 1);
+        grid.drawImage(asCanvas(paintView(this.#sprites[n].data, this.#sprites[n].shape, look)), left + 0.5, top + 0.5, wide - 1, high - 1);
       });
       this.#painted = painted;
     }
     const context = canvas.getContext("2d");
     context.drawImage(this.#grid, 0, 0);
-    context.scale(ratio, ratio);
-    const [left, top] = this.#boxes[lf.reference];
-    context.fillStyle = "#fff";
-    context.strokeStyle = "rgb(0 0 0 / 70%)";
-    context.beginPath();
-    context.arc(left + wide / 2, top + high / 2, Math.max(2, Math.min(wide, high) * 0.12), 0, 7);
-    context.fill();
-    context.stroke();
-    const box = this.#boxes[current];
-    for (const [style, thick] of [["#fff", 4], [mark(), 2.5]]) {
-      context.strokeStyle = style;
-      context.lineWidth = thick;
-      context.strokeRect(box[0] + 1.5, box[1] + 1.5, box[2] - 3, box[3] - 3);
-    }
+    const [dot, box] = [lf.reference, current].map((n) => this.#boxes[n].map((side) => side * ratio)), frame = new Path2D(), inset = 1.5 * ratio;
+    drawDot(context, { left: dot[0] + dot[2] / 2, top: dot[1] + dot[3] / 2, scale: 0 }, 0, 0, Math.max(2, Math.min(wide, high) * 0.12));
+    frame.rect(box[0] + inset, box[1] + inset, box[2] - 2 * inset, box[3] - 2 * inset);
+    stroke(context, frame, ["#fff", 4], [mark(), 2.5]);
     canvas.dataset.drawn = `${this.key} ${current}`;
   }
 }
