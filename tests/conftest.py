@@ -7,6 +7,7 @@ import pickle
 import secrets
 import shutil
 from collections.abc import Iterator
+from functools import wraps
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -172,13 +173,6 @@ def nothing_kept(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
 
 
 @pytest.fixture
-def others(request: pytest.FixtureRequest) -> list[Target]:
-    """All backends x devices but the reference that can be tried."""
-    targets = request.config.stash[_TARGETS]
-    return [target for target in targets if target.kernels is not None and target.backend != "reference"]
-
-
-@pytest.fixture
 def rng(request: pytest.FixtureRequest) -> np.random.Generator:
     """Random numbers that are new in each run and, for a given seed, the same for each test whatever else is run."""
     return np.random.default_rng([int(os.environ[SEED]), *request.node.nodeid.encode()])
@@ -207,6 +201,7 @@ def _scenes_are_drawn_once(request: pytest.FixtureRequest, tmp_path_factory: pyt
         shutil.rmtree(other, ignore_errors=True)
     (kept / state).mkdir(exist_ok=True)
 
+    @wraps(draw)
     def record(scene: Any, recording: Any, time: float, displaced: Any = None) -> LightField:
         moved = None if displaced is None else displaced.tolist()
         named = repr((scene.name, scene.grid, scene.frame, scene.seed, recording, time, moved))

@@ -501,8 +501,8 @@ FAULTS = (
     Fault(
         "the place of a rig that is not turned into its camera",
         "lfgpu/calibration/formats/colmap_frames.py",
-        "turn @ away + shift",
-        "away + shift",
+        "turn @ outer, turn @ away + shift",
+        "turn @ outer, away + shift",
         ("tests/calibration/test_calibration_formats.py", "-k", "older_than"),
     ),
     Fault(

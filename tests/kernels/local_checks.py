@@ -5,13 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import (
-    Desk,
-    Operation,
-    Outputs,
-    Values,
-    largest_error,
-)
+from checks import Desk, Operation, Outputs, Values, largest_error
 
 from lfgpu.contract import StructureFilters
 
@@ -48,15 +42,9 @@ def structure_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleN
     """
     angle = np.arctan(got["disparity"].astype(np.float64) - i.shear) - np.arctan(want["disparity"] - i.shear)
     direction = np.sqrt(want["coherence"].clip(0)) * np.abs(np.sin(angle))
-    return {
-        "disparity": float(direction.max()),
-        "coherence": largest_error(got["coherence"], want["coherence"], 1.0),
-    }
+    return {"disparity": float(direction.max()), "coherence": largest_error(got["coherence"], want["coherence"], 1.0)}
 
 
 STRUCTURE_TENSOR = Operation(structure_tensor, "epi", structure_errors)
 KEEP_MORE_COHERENT = Operation(keep_more_coherent, "coherence")
-OPERATIONS = (
-    STRUCTURE_TENSOR,
-    KEEP_MORE_COHERENT,
-)
+OPERATIONS = (STRUCTURE_TENSOR, KEEP_MORE_COHERENT)

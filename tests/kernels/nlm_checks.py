@@ -5,16 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import (
-    Desk,
-    Operation,
-    Outputs,
-    adjoint_tolerance,
-    compute,
-    relative_to_terms,
-    same_product,
-    size,
-)
+from checks import Desk, Operation, Outputs, adjoint_tolerance, compute, relative_to_terms, same_product, size
 
 from lfgpu.contract import KernelSet
 
@@ -47,11 +38,7 @@ LAPLACIAN = Operation(
     nlm_laplacian, "nlm", relative_to_terms(**dict.fromkeys(("laplacian", "and diagonal"), lambda i: size(i.values)))
 )
 WEIGHTS = Operation(nlm_weights, "nlm")
-OPERATIONS = (
-    WEIGHTS,
-    NEIGHBORS,
-    LAPLACIAN,
-)
+OPERATIONS = (WEIGHTS, NEIGHBORS, LAPLACIAN)
 
 
 def check_nlm_symmetric(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:

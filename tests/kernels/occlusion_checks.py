@@ -68,10 +68,7 @@ def visible_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNam
     return {"visible": float(differs.mean())}
 
 
-OPERATIONS = (
-    Operation(splat_z_buffered, "occlusion"),
-    Operation(visible, "occlusion", visible_errors),
-)
+OPERATIONS = (Operation(splat_z_buffered, "occlusion"), Operation(visible, "occlusion", visible_errors))
 SPLAT, VISIBLE = OPERATIONS
 
 

@@ -181,11 +181,7 @@ def _trial(function: Function, x: NDArray[np.float64]) -> Trial:
 
 
 def _trials(
-    case: LbfgsCase,
-    function: Function,
-    first: Trial,
-    options: dict[str, Any],
-    curvature: NDArray[np.float64] | None,
+    case: LbfgsCase, function: Function, first: Trial, options: dict[str, Any], curvature: NDArray[np.float64] | None
 ) -> list[Trial]:
     solver = load("reference").lbfgs(case.size, "cpu", **options)
     x, gradient = first.x.astype(np.float64), first.gradient.astype(np.float64)

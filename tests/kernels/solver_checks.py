@@ -6,13 +6,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import (
-    Desk,
-    Operation,
-    Outputs,
-    Values,
-    largest_error,
-)
+from checks import Desk, Operation, Outputs, Values, largest_error
 
 from lfgpu.contract import KernelSet
 
@@ -82,10 +76,7 @@ def lbfgs_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNames
     return errors
 
 
-OPERATIONS = (
-    Operation(residuals, "residuals"),
-    Operation(lbfgs, "lbfgs", lbfgs_errors),
-)
+OPERATIONS = (Operation(residuals, "residuals"), Operation(lbfgs, "lbfgs", lbfgs_errors))
 
 
 Quadratic = tuple[Values, Values]

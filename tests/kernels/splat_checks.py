@@ -5,16 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import (
-    Desk,
-    Operation,
-    Outputs,
-    adjoint_tolerance,
-    compute,
-    largest_error,
-    relative_to_terms,
-    size,
-)
+from checks import Desk, Operation, Outputs, adjoint_tolerance, compute, largest_error, relative_to_terms, size
 
 from lfgpu.contract import KernelSet
 
@@ -60,11 +51,7 @@ def seen_by_reference(desk: Desk, i: SimpleNamespace) -> Outputs:
 SPLAT = Operation(splat, "splat")
 DATA_TERM = Operation(data_term, "splat", relative_to_terms(gradient=lambda i: size(i.image, i.offsets)))
 SEEN_BY_REFERENCE = Operation(seen_by_reference, "seen")
-OPERATIONS = (
-    SPLAT,
-    DATA_TERM,
-    SEEN_BY_REFERENCE,
-)
+OPERATIONS = (SPLAT, DATA_TERM, SEEN_BY_REFERENCE)
 
 
 def check_masked_pixels_do_not_count(

@@ -197,16 +197,10 @@ FAULTS: dict[tuple[str, str], tuple[Callable[[Operation], Operation], Check]] = 
     ("multiply", "in a program"): (after(double), program(programs.minimizing)),
     ("data_term", "in a program"): (option("scale", lambda s: 2 * s), program(programs.comparing)),
     ("plane_sweep", "in a program"): (option("scale", lambda s: 2 * s), program(sweep_checks.sweeping)),
-    ("winner_takes_all", "in a program"): (
-        option("step", lambda s: 2 * s),
-        program(volume_checks.finding_the_lowest),
-    ),
+    ("winner_takes_all", "in a program"): (option("step", lambda s: 2 * s), program(volume_checks.finding_the_lowest)),
     ("distinct_minimum", "in a program"): (after(double), program(range_search_checks.finding_what_is_distinct)),
     ("alignment", "in a program"): (option("scale", lambda s: 2 * s), program(alignment_checks.stepping)),
-    ("smooth_views", "in a program"): (
-        option("scale", lambda _: 0.5),
-        program(smoothing_checks.showing_less_noise),
-    ),
+    ("smooth_views", "in a program"): (option("scale", lambda _: 0.5), program(smoothing_checks.showing_less_noise)),
 }
 """By the name of an operation and what is wrong with it: what makes it wrong, and the check that must fail."""
 

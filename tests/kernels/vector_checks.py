@@ -7,15 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import (
-    Desk,
-    Operation,
-    Outputs,
-    Values,
-    largest_error,
-    relative_to_terms,
-    size,
-)
+from checks import Desk, Operation, Outputs, Values, largest_error, relative_to_terms, size
 
 from lfgpu.contract import KernelSet
 from lfgpu.errors import BackendError

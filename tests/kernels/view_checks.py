@@ -5,12 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import numpy as np
-from checks import (
-    Desk,
-    Operation,
-    Outputs,
-    relative_to_terms,
-)
+from checks import Desk, Operation, Outputs, relative_to_terms
 
 
 def intensities(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -43,8 +38,4 @@ def normalization(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 LINE_OF_VIEWS = Operation(line_of_views, "views")
 NORMALIZATION = Operation(normalization, "views", relative_to_terms(detail=lambda i: 1.0 / i.floor if i.sigma else 0.0))
-OPERATIONS = (
-    Operation(intensities, "views"),
-    LINE_OF_VIEWS,
-    NORMALIZATION,
-)
+OPERATIONS = (Operation(intensities, "views"), LINE_OF_VIEWS, NORMALIZATION)
