@@ -27,7 +27,7 @@ from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
-from lfgpu.methods import PRESETS
+from lfgpu.methods import PRESETS, configured
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.dry_run import DryArray, DryKernels
 from lfgpu.methods.matching.config import MatchingConfig
@@ -206,10 +206,12 @@ def test_weights_of_a_file_are_used_recorded_and_exported(
     assert kept.config == theirs.config
     assert kept.config.weights.startswith("weights.npz (SHA-256 ")
     with pytest.raises(LightFieldError, match="a result does not hold them"):
-        estimate_depth(scene, config=kept.config, **options)
+        DepthPipeline(scene, config=kept.config, disparity_range=RANGE)
     export_pipeline(scene, tmp_path / "cpp", config=theirs.config, disparity_range=RANGE)
     about = json.loads((tmp_path / "cpp" / "pipeline.json").read_text())
     assert about["config"]["weights"] == theirs.config.weights
+    np.savez(path, **{name: 2 * values for name, values in written[1].items()}, version=VERSION)
+    assert configured("learned", path) != theirs.config
     for config in ("fast", "paper"):
         with pytest.raises(LightFieldError, match="only the preset learned has"):
             estimate_depth(scene, config=config, weights=path)

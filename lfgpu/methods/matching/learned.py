@@ -10,7 +10,7 @@ import os
 import re
 import zipfile
 from collections.abc import Callable, Mapping, Sequence
-from functools import cache
+from functools import cache, lru_cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -53,6 +53,13 @@ class WeightsFile(str):
 
 def weights_file(path: str | os.PathLike[str]) -> WeightsFile:
     """Read a file of weights, to be one of the parameters; LightFieldError as `read_weights`."""
+    about = Path(path).stat() if Path(path).is_file() else None
+    return _read_once(os.fspath(path), about and (about.st_mtime_ns, about.st_size, about.st_ino))
+
+
+@lru_cache(maxsize=8)
+def _read_once(path: str, about: tuple[int, ...] | None) -> WeightsFile:
+    """Read a file of weights if it has changed, as `about` tells."""
     weights = read_weights(path)
     found = WeightsFile(f"{Path(path).name} (SHA-256 {sha256(Path(path).read_bytes()).hexdigest()[:16]})")
     found.weights = weights
