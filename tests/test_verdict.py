@@ -23,7 +23,7 @@ from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.io import write_hci
-from lfgpu.methods import preset
+from lfgpu.methods import method_of, preset
 from lfgpu.viewer.solving import Request, Solver
 
 Said = tuple[tuple[str, ...], tuple[str, ...]]
@@ -133,6 +133,17 @@ def test_all_ways_say_the_same_in_the_same_order(fault: str, tmp_path: Path) -> 
     assert bool(remarks) == bool(remark)
     for way in WAYS:
         assert way(lf, given, tmp_path) == (notes, remarks), way.__name__
+
+
+def test_disparities_that_lie_far_apart_in_a_wide_range_are_a_note() -> None:
+    lf, bounds = right(), (-3.0, 3.0)
+    config = preset("fast").with_values({"sweep.max_labels": 8})
+    result = lfgpu.estimate_depth(lf, config=config, disparity_range=bounds, device="cpu", check_cameras=False)
+    assert [note for note in result.notes if "the 8 disparities that are compared lie 2 px apart" in note]
+    again = lfgpu.judged(lf, result, disparity_range=bounds, device="cpu", check_cameras=False)
+    assert again.notes == result.notes
+    assert method_of("fast").doubt(lf.layout, bounds) is None
+    assert method_of("paper").doubt(lf.layout, bounds) is None
 
 
 def test_maps_of_all_views_are_less_confident_where_cameras_are_askew() -> None:

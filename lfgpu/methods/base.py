@@ -250,6 +250,10 @@ class Method(ABC, Generic[C]):
         """Largest difference between disparities of the same surface, pixels per view step."""
         return SAME_SURFACE / layout.farthest
 
+    def doubt(self, layout: ViewLayout, bounds: tuple[float, float]) -> str | None:
+        """Say what limits maps within a disparity range, in a sentence; None if nothing does."""
+        return None
+
     # --- running ---
 
     @abstractmethod

@@ -1,9 +1,10 @@
 """Verdict on a map: notes on its range and its evidence, remarks on its cameras, and the confidence that follows.
 
 Estimates, tiles, all views, batches, the command line and the viewer get it here, so that they say the same in the same
-order. Notes: the views show nothing, or the given range excludes them; surfaces may lie beyond the range that was found
-(`lfgpu/pipelines/range_confirmation.py`); the map lies at an end of its range; it is confident nowhere. A pipeline that
-runs on many frames says of each the notes that its map alone gives (`map_notes`).
+order. Notes: the views show nothing, or the given range excludes them; the range is so wide that few of its disparities
+are compared; surfaces may lie beyond the range that was found (`lfgpu/pipelines/range_confirmation.py`); the map lies
+at an end of its range; it is confident nowhere. A pipeline that runs on many frames says of each the notes that its map
+alone gives (`map_notes`).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.contradictions import no_parallax
+from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
 
 MANY = 0.01
@@ -69,7 +71,9 @@ class Verdict:
         if self.cameras is not None:
             result = trusted(lf, result, self.cameras)
         own = map_notes(result.disparity, result.confidence, result.disparity_range)
-        earlier = [note for note in (self.note, *result.notes) if note is not None and note not in own]
+        coarse = method_of(result.config).doubt(lf.layout, result.disparity_range)
+        said = dict.fromkeys((self.note, coarse, *result.notes))
+        earlier = [note for note in said if note is not None and note not in own]
         return replace(result, notes=(*earlier, *own))
 
 
