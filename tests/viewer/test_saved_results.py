@@ -148,7 +148,7 @@ def test_films_and_quilts_are_saved_and_the_eye_orbits(browser: Any, viewer: Vie
     until(lambda: len(np.unique(seen().reshape(-1, 3), axis=0)) > 100, "points are drawn", page.tab)
     saved = {}
     page.tab.keyboard.press("s")
-    for form in ("gif", "mp4", "quilt"):
+    for form in ("gif", "quilt"):
         with page.tab.expect_download(timeout=300_000) as download:
             page.tab.click(f"#save-space [value={form}]")
         saved[form] = tmp_path / download.value.suggested_filename
@@ -161,7 +161,6 @@ def test_films_and_quilts_are_saved_and_the_eye_orbits(browser: Any, viewer: Vie
             frames.append(np.asarray(image.convert("RGB")).astype(int))
     aside, back = (np.abs(one - frames[0]).mean() for one in frames[1:])
     assert back < 0.2 * aside, "half way round, the eye is where it began"
-    assert saved["mp4"].read_bytes()[4:8] == b"ftyp"
     with Image.open(saved["quilt"]) as image:
         quilt = np.asarray(image.convert("RGB")).astype(int)
     high, wide = quilt.shape[0] // ROWS, quilt.shape[1] // COLUMNS
