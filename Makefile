@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-all lowest training lint docs figures gpu-parity bench clean
+.PHONY: demo test test-all test-vulkan lowest training lint docs figures gpu-parity bench clean
 
 demo: .venv/use
 	$(BIN)/lfgpu demo
@@ -19,6 +19,11 @@ test-all: test
 	$(PYTEST) -m thorough
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2
 	$(BIN)/python tests/faults.py
+
+# All operations, and whole estimates, with Taichi on a GPU's Vulkan driver, or on Mesa's, which needs no GPU.
+test-vulkan: .venv/develop
+	$(PYTEST) tests/kernels/test_matrix.py tests/kernels/test_energy.py tests/test_pipelines.py tests/test_tiles.py \
+		tests/test_learned.py tests/test_depth_pipeline.py --backend taichi --device vulkan
 
 # The least versions of all packages that pyproject.toml allows, and what reads, writes and computes with them. They have
 # wheels for Python 3.11, which uv looks for, or loads.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias, cast
 
+from lfgpu import vulkan
 from lfgpu.errors import BackendError
 from lfgpu.machine import version_of
 
@@ -111,8 +112,29 @@ def pick_device(kernels: KernelSet, device: str | None) -> str:
         return devices[0]
     wanted = "cuda:0" if device == "cuda" else device
     if wanted not in devices:
-        raise BackendError(f"backend {kernels.name!r} finds no device {device!r}; use one of {', '.join(devices)}.")
+        raise BackendError(
+            f"backend {kernels.name!r} finds no device {device!r}; use one of {', '.join(devices)}{_why_not(wanted)}."
+        )
     return wanted
+
+
+def alike(kernels: KernelSet, device: str) -> tuple[str, ...]:
+    """Return the devices of the same kind, over which work may be spread: all CUDA devices for one of them."""
+    kind = device.partition(":")[0]
+    return tuple(name for name in kernels.devices() if name.partition(":")[0] == kind)
+
+
+def _why_not(device: str) -> str:
+    """Return the reason why a device of another kind than CUDA's is not there, and what to do."""
+    if device == "metal":
+        return "; Metal needs macOS on Apple silicon and the backend 'taichi'"
+    if device == "vulkan":
+        try:
+            found = vulkan.choose()
+        except BackendError as error:
+            return f"; {str(error).rstrip('.')}"
+        return f"; the backend 'taichi' runs on {found.name}"
+    return ""
 
 
 def open_device(backend: str = DEFAULT, device: str | None = None) -> Device:

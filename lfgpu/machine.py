@@ -1,13 +1,17 @@
-"""The machine: its memory, names and memory of the devices that backends call "cpu" and "cuda:0", packages on it."""
+"""The machine: its memory, packages on it, and names and memory of devices ("cpu", "cuda:0", "vulkan", "metal")."""
 
 from __future__ import annotations
 
 import ctypes
 import importlib.metadata
 import platform
+import subprocess
 import sys
 from functools import lru_cache
 from pathlib import Path
+
+from lfgpu import vulkan
+from lfgpu.errors import BackendError
 
 _MEMINFO = Path("/proc/meminfo")
 _LONGEST = 256  # bytes of a name, with its terminating zero
@@ -23,15 +27,22 @@ def version_of(package: str) -> str | None:
 
 
 def device_name(device: str) -> str | None:
-    """Return the product name of a device, such as "NVIDIA H200" for "cuda:0"; None if unknown."""
-    if device == "cpu":
+    """Return the product name of a device, such as "NVIDIA H200" for "cuda:0"; None if unknown.
+
+    The name of "vulkan" has the driver's behind it. The GPU of "metal" has the name of the chip.
+    """
+    if device in ("cpu", "metal"):
         return _cpu()
+    if device == "vulkan":
+        return f"{gpu.name} ({gpu.driver})" if (gpu := _vulkan()) else None
     kind, _, index = device.partition(":")
     return _gpu(int(index)) if kind == "cuda" and index.isdigit() else None
 
 
 def device_memory(device: str) -> int | None:
     """Return the memory of a GPU in bytes; None if it is unknown, and of a CPU."""
+    if device == "vulkan":
+        return gpu.memory if (gpu := _vulkan()) else None
     kind, _, index = device.partition(":")
     if kind != "cuda" or not index.isdigit() or (found := _cuda(int(index))) is None:
         return None
@@ -56,7 +67,17 @@ def _cpu() -> str | None:
             label, _, value = line.partition(":")
             if label.strip() == "model name":
                 return value.strip()
+    if sys.platform == "darwin":
+        asked = ["/usr/sbin/sysctl", "-n", "machdep.cpu.brand_string"]
+        return subprocess.run(asked, capture_output=True, text=True, check=False).stdout.strip() or None
     return platform.processor() or None
+
+
+def _vulkan() -> vulkan.VulkanDevice | None:
+    try:
+        return vulkan.choose()
+    except BackendError:
+        return None
 
 
 def _gpu(index: int) -> str | None:

@@ -28,6 +28,7 @@ FLOORS = (
     ("data", "solvers", "kernels"),
     ("_backends",),
     ("contract", "config", "threads", "machine"),
+    ("vulkan",),
     ("errors",),
     ("printable",),
 )

@@ -1,9 +1,7 @@
 """A step of conjugate gradients, put together from the operations on vectors."""
 
-import taichi as ti
-
 from .memory import DeviceArray, empty
-from .runtime import once
+from .runtime import double, once
 from .sums import dot
 from .vector import axpby, copy, multiply, ratio
 
@@ -11,7 +9,7 @@ from .vector import axpby, copy, multiply, ratio
 @once
 def _workspace(shape: tuple[int, ...]) -> tuple[DeviceArray, DeviceArray, DeviceArray]:
     """M r, and two numbers."""
-    return empty(shape), empty((1,), scalar=ti.f64), empty((1,), scalar=ti.f64)
+    return empty(shape), empty((1,), scalar=double()), empty((1,), scalar=double())
 
 
 def conjugate_step(

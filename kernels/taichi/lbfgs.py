@@ -17,14 +17,13 @@ import taichi as ti
 from lfgpu.contract import Lbfgs
 
 from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
-from .runtime import TASK, on_cpu, once, run, start
+from .runtime import TASK, double, on_cpu, once, run, start
 from .sums import Total, share
 
 _DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not accepted (Armijo)
 _CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
 _SHORTEST, _LONGEST = 0.1, 0.5  # how far a step shrinks at once
 _REJECTIONS = 20  # in a row that end the search
-_LARGEST = float(np.finfo(np.float64).max)
 _CPU_PARTS, _GPU_PARTS = 64, 1024  # of each inner product
 
 # Places in the state: the numbers of a solver
@@ -49,7 +48,8 @@ def in_use(row: int, slots: int, newest: int, pairs: int):
 
 @once
 def _search_kernels() -> SimpleNamespace:
-    field, numbers = flat(), flat(ti.f64)
+    real = double()
+    field, numbers = flat(), flat(real)
 
     @ti.kernel
     def begin_kernel(value: numbers, state_out: numbers, trace_out: numbers, go_on_out: numbers):
@@ -72,7 +72,7 @@ def _search_kernels() -> SimpleNamespace:
     def judge_kernel(
         trial_value: numbers,
         patience: int,
-        tolerance: ti.f64,
+        tolerance: real,
         state: numbers,
         value: numbers,
         trace_out: numbers,
@@ -81,28 +81,28 @@ def _search_kernels() -> SimpleNamespace:
         step = state[_STEP]
         promised = step * state[_SLOPE]
         trial = trial_value[0]
-        finite = ti.abs(trial) <= ti.f64(_LARGEST)
+        finite = ti.abs(trial) < ti.math.inf
         state[_JUDGED] = state[_JUDGED] + 1.0
         state[_ACCEPTED] = 0.0
-        if finite and trial <= value[0] + ti.f64(_DECREASE) * promised:
+        if finite and trial <= value[0] + ti.cast(_DECREASE, real) * promised:
             last = ti.min(ti.cast(state[_LENGTH], ti.i32), trace_out.shape[0] - 1)
             value[0] = trial
             trace_out[last] = trial
-            state[_LENGTH] = ti.cast(last + 1, ti.f64)
+            state[_LENGTH] = ti.cast(last + 1, real)
             state[_ACCEPTED] = 1.0
             state[_REJECTED] = 0.0
             if last >= patience:
-                most = ti.cast(patience, ti.f64) * tolerance * ti.abs(trace_out[0])
+                most = ti.cast(patience, real) * tolerance * ti.abs(trace_out[0])
                 if trace_out[last - patience] - trial <= most:
                     state[_FLAT] = 1.0
                     go_on_out[0] = 0.0
             if last + 1 == trace_out.shape[0]:
                 go_on_out[0] = 0.0
         else:
-            shorter = ti.f64(_SHORTEST) * step
+            shorter = ti.cast(_SHORTEST, real) * step
             if finite:
                 lowest = -promised * step / (2.0 * (trial - value[0] - promised))
-                shorter = ti.min(ti.max(lowest, shorter), ti.f64(_LONGEST) * step)
+                shorter = ti.min(ti.max(lowest, shorter), ti.cast(_LONGEST, real) * step)
             state[_STEP] = shorter
             state[_REJECTED] = state[_REJECTED] + 1.0
             if state[_REJECTED] == _REJECTIONS:
@@ -114,7 +114,8 @@ def _search_kernels() -> SimpleNamespace:
 @once
 def _stack_kernels(cpu: bool) -> SimpleNamespace:
     """Kernels that read and write the stack [2 slots + 1, pixel]: steps, differences, the projected gradient."""
-    field, numbers = flat(), flat(ti.f64)
+    real = double()
+    field, numbers = flat(), flat(real)
 
     @ti.kernel
     def project_kernel(x: field, gradient: field, root: field, low: float, high: float, slots: int, stack: field):
@@ -152,15 +153,15 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
     ):
         """Inner products of one row with the new step, the new difference and the projected gradient, over a part."""
         parts = parts_out.shape[0] // (3 * (2 * slots + 1))
-        with_step = ti.f64(0.0)
-        with_difference = ti.f64(0.0)
-        with_gradient = ti.f64(0.0)
+        with_step = ti.cast(0.0, real)
+        with_difference = ti.cast(0.0, real)
+        with_gradient = ti.cast(0.0, real)
         i, by, end = share(part, parts, size, cpu)
         while i < end:
-            value = ti.cast(stack[row * size + i], ti.f64)
-            with_step += value * ti.cast(stack[slot * size + i], ti.f64)
-            with_difference += value * ti.cast(stack[(slots + slot) * size + i], ti.f64)
-            with_gradient += value * ti.cast(stack[2 * slots * size + i], ti.f64)
+            value = ti.cast(stack[row * size + i], real)
+            with_step += value * ti.cast(stack[slot * size + i], real)
+            with_difference += value * ti.cast(stack[(slots + slot) * size + i], real)
+            with_gradient += value * ti.cast(stack[2 * slots * size + i], real)
             i += by
         parts_out[3 * row * parts + part] = with_step
         parts_out[(3 * row + 1) * parts + part] = with_difference
@@ -231,13 +232,14 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
 
 @once
 def _recursion_kernel() -> Any:
-    numbers = flat(ti.f64)
+    real = double()
+    numbers = flat(real)
 
     @ti.func
     def along(row: int, coefficients: ti.template(), products: ti.template()):
         """Compute the inner product of a row with the combination that the coefficients make."""
         rows = coefficients.shape[0]
-        total = ti.f64(0.0)
+        total = ti.cast(0.0, real)
         for r in range(rows):
             if coefficients[r] != 0.0:
                 total += coefficients[r] * products[row * rows + r]
@@ -288,8 +290,8 @@ def _recursion_kernel() -> Any:
     @ti.kernel
     def recursion_kernel(
         totals: numbers,
-        first_step: ti.f64,
-        pixels: ti.f64,
+        first_step: real,
+        pixels: real,
         slots: int,
         beginning: int,
         state: numbers,
@@ -307,11 +309,11 @@ def _recursion_kernel() -> Any:
                 s_s = products[slot * rows + slot]
                 s_y = products[slot * rows + slots + slot]
                 y_y = products[(slots + slot) * rows + slots + slot]
-                if s_y > ti.f64(_CURVATURE) * ti.sqrt(s_s) * ti.sqrt(y_y):
-                    state[_NEWEST] = ti.cast(slot, ti.f64)
-                    state[_PAIRS] = ti.min(state[_PAIRS] + 1.0, ti.cast(slots - 1, ti.f64))
+                if s_y > ti.cast(_CURVATURE, real) * ti.sqrt(s_s) * ti.sqrt(y_y):
+                    state[_NEWEST] = ti.cast(slot, real)
+                    state[_PAIRS] = ti.min(state[_PAIRS] + 1.0, ti.cast(slots - 1, real))
             against_gradient(coefficients)
-            slope = ti.f64(0.0)
+            slope = ti.cast(0.0, real)
             if state[_PAIRS] > 0.0:
                 newest = ti.cast(state[_NEWEST], ti.i32)
                 two_loops(slots, newest, ti.cast(state[_PAIRS], ti.i32), products, alpha, coefficients)
@@ -319,7 +321,7 @@ def _recursion_kernel() -> Any:
                 if not slope < 0.0:
                     state[_PAIRS] = 0.0
                     against_gradient(coefficients)
-            step = ti.f64(1.0)
+            step = ti.cast(1.0, real)
             if state[_PAIRS] == 0.0:
                 slope = -products[rows * rows - 1]
                 step = 0.0

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
+from taichi.lang.util import to_numpy_type
 
 from lfgpu.errors import BackendError
 
-from .runtime import alone, once, start
+from .runtime import alone, double, most_bytes, once, start
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels
@@ -45,19 +46,34 @@ def flat(scalar: Any = ti.f32, channels: int | None = None) -> Any:
 def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti.f32) -> DeviceArray:
     """Allocate an array on the running device, of whatever the memory held."""
     count = prod(shape)
-    if count * (channels or 1) > _MOST:
+    size = count * (channels or 1)
+    wide = size * np.dtype(to_numpy_type(scalar)).itemsize
+    if size > _MOST or wide > most_bytes():
+        limit = f"{_MOST} values" if size > _MOST else f"{most_bytes() / 2**20:.0f} MiB"
         raise BackendError(
-            f"backend 'taichi' cannot hold an array of {count * (channels or 1)} values, at most {_MOST}: use fewer or "
-            "smaller views, or backend 'warp'."
+            f"backend 'taichi' cannot hold an array of {size} values ({wide / 2**20:.0f} MiB), at most {limit} here: "
+            "use max_memory, fewer or smaller views, or backend 'warp'."
         )
-    with alone():
-        values = ti.ndarray(scalar, count) if channels is None else ti.Vector.ndarray(channels, scalar, count)
+    try:
+        with alone():
+            values = ti.ndarray(scalar, count) if channels is None else ti.Vector.ndarray(channels, scalar, count)
+    except RuntimeError as error:
+        raise BackendError(
+            f"the device has too little memory left for an array of {wide / 2**20:.0f} MiB: use max_memory, or fewer "
+            "or smaller views."
+        ) from error
     return DeviceArray(values, tuple(shape), channels, scalar)
 
 
 def doubles(values: NDArray[Any]) -> DeviceArray:
-    """Return a copy of `values` (any shape) on the running device as float64."""
-    return _filled(empty(values.shape, scalar=ti.f64), np.asarray(values, np.float64))
+    """Return a copy of `values` (any shape) on the running device as numbers of its type `double`."""
+    array = empty(values.shape, scalar=double())
+    return _filled(array, np.asarray(values, to_numpy_type(array.scalar)))
+
+
+def table(values: NDArray[Any]) -> DeviceArray:
+    """Return a copy of `values` (any shape) on the running device as a field, of one 0 where there are none."""
+    return _filled(empty(values.shape), values.astype(np.float32)) if values.size else _nothing()
 
 
 @once

@@ -78,13 +78,14 @@ def _judge_peak_kernel(
     probability: flat(),
     deviation: flat(),
     step: float,
+    least: float,
     share: ti.types.vector(3, float),
     spread: ti.types.vector(3, float),
     confidence_out: flat(),
     variance_out: flat(),
 ):
     for p in range(probability.shape[0]):
-        odds = ti.log((probability[p] + LEAST_ODDS) / (1.0 - probability[p] + LEAST_ODDS))
+        odds = ti.log((probability[p] + least) / (1.0 - probability[p] + least))
         features = ti.Vector([1.0, odds, ti.log(deviation[p] / step + LEAST_WIDTH)])
         confidence_out[p] = 1.0 / (1.0 + ti.exp(-share.dot(features)))
         variance_out[p] = step * step * ti.exp(spread.dot(features))
@@ -107,6 +108,7 @@ def judge_peak(
         probability.values,
         deviation.values,
         step,
+        LEAST_ODDS,  # a compiler would add it to the other constant first, and lose digits
         ti.Vector(list(at_limit)),
         ti.Vector(list(spread)),
         confidence_out.values,

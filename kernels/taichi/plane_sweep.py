@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import taichi as ti
-from numpy.typing import NDArray
 
 from lfgpu.contract import Disparities, PlaneSweep, SweepCost, ViewSets, sweep_shifts
 
-from .memory import DeviceArray, doubles, empty, flat, numpy, optional
+from .memory import DeviceArray, empty, flat, numpy, optional, table
 from .runtime import on_cpu, once, run
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
@@ -82,7 +81,7 @@ def _difference_kernel(stored: Any, block: int) -> Any:
     def difference_kernel(
         views: flat(stored),
         image: flat(),
-        shifts: flat(ti.f64),
+        shifts: flat(),
         first: int,
         count: int,
         channels: int,
@@ -136,8 +135,8 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: i
         differences: flat(),
         valid: flat(),
         nearest: flat(),
-        shifts: flat(ti.f64),
-        members: flat(ti.f64),
+        shifts: flat(),
+        members: flat(),
         view_sets: int,
         first: int,
         begin: int,
@@ -248,11 +247,6 @@ def _least_kernel(
         volume_out[first + p] = lowest
 
 
-def _table(values: NDArray[Any]) -> DeviceArray:
-    """Make a copy on the device, of something at least: there is no array of nothing."""
-    return doubles(values if values.size else np.zeros(1))
-
-
 class _PlaneSweep:
     """The shifts of the views, in the order of their view sets."""
 
@@ -267,8 +261,8 @@ class _PlaneSweep:
         ends = np.any(members != np.roll(members, -1, axis=0), axis=1)
         numbers = np.broadcast_to(others[:, None], (count, len(others), 1))
         self._views, self._view_sets = len(others), belongs.shape[1]
-        self._shifts = _table(np.concatenate([numbers, whole, shifts - whole], axis=2))
-        self._members = _table(np.concatenate([members, ends[:, None]], axis=1))
+        self._shifts = table(np.concatenate([numbers, whole, shifts - whole], axis=2))
+        self._members = table(np.concatenate([members, ends[:, None]], axis=1))
         self._deepest = [float(d) for d in disparities.first + disparities.step * np.arange(count) + views.tolerance]
         _, height, width, channels = self._shape
         self._batch = max(1, min(self._views, _TOGETHER_CPU if on_cpu() else _TOGETHER))

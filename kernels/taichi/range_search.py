@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
-from .memory import DeviceArray, doubles, empty, flat, optional
+from .memory import DeviceArray, empty, flat, optional, table
 from .plane_sweep import shift_of, within
 from .runtime import once, run, start
 
@@ -130,7 +130,7 @@ def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> D
 def _differences_kernel(
     details: flat(),
     reference: int,
-    shifts: flat(ti.f64),
+    shifts: flat(),
     begin: int,
     end: int,
     views: int,
@@ -207,7 +207,7 @@ def side_costs(
     views = np.concatenate([np.asarray(side, np.int64) for line in lines for side in line])
     chosen = sweep_shifts(offsets, Disparities(first, step, count))[:, views]
     whole = np.floor(chosen)
-    shifts = doubles(np.concatenate([np.broadcast_to(views, chosen.shape[:2])[..., None], whole, chosen - whole], 2))
+    shifts = table(np.concatenate([np.broadcast_to(views, chosen.shape[:2])[..., None], whole, chosen - whole], 2))
     sums, parts = (empty((count, height, width)) for _ in range(2))
 
     def evaluate(details: DeviceArray, volume_out: DeviceArray) -> None:

@@ -8,14 +8,15 @@ import taichi as ti
 from lfgpu.contract import Residuals
 
 from .memory import DeviceArray, doubles, flat, numpy, scalar
-from .runtime import once, run
+from .runtime import double, once, run
 
 _NORM, _LENGTH = range(2)  # places in the state; the length is that of the trace
 
 
 @once
 def _kernels() -> SimpleNamespace:
-    numbers = flat(ti.f64)
+    real = double()
+    numbers = flat(real)
 
     @ti.kernel
     def begin_kernel(norm: numbers, state_out: numbers, go_on_out: numbers):
@@ -26,13 +27,13 @@ def _kernels() -> SimpleNamespace:
         go_on_out[0] = 1.0
 
     @ti.kernel
-    def add_kernel(residual: numbers, tolerance: ti.f64, state: numbers, trace_out: numbers, go_on_out: numbers):
+    def add_kernel(residual: numbers, tolerance: real, state: numbers, trace_out: numbers, go_on_out: numbers):
         last = ti.cast(state[_LENGTH], ti.i32)
         go_on_out[0] = 0.0
         if last < trace_out.shape[0]:
-            relative = ti.sqrt(ti.max(residual[0], ti.f64(0.0)) / state[_NORM])
+            relative = ti.sqrt(ti.max(residual[0], ti.cast(0.0, real)) / state[_NORM])
             trace_out[last] = relative
-            state[_LENGTH] = ti.cast(last + 1, ti.f64)
+            state[_LENGTH] = ti.cast(last + 1, real)
             if relative > tolerance and last + 1 < trace_out.shape[0]:
                 go_on_out[0] = 1.0
 

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import taichi as ti
 from taichi.lang import impl
 
+from lfgpu import vulkan
 from lfgpu.errors import BackendError
 from lfgpu.threads import get_threads
 
@@ -20,7 +21,7 @@ TASK = 512
 Where an iteration is a whole row or view, the loop is made as much longer and all but every 512th passes at once.
 """
 
-_ARCHES = {"cuda:0": ti.cuda, "cpu": ti.cpu}
+_ARCHES = {"cuda:0": ti.cuda, "vulkan": ti.vulkan, "metal": ti.metal, "cpu": ti.cpu}
 _LOCK = threading.RLock()
 _process: int | None = None  # the one in which Taichi was started
 
@@ -30,7 +31,12 @@ Kernels = TypeVar("Kernels")
 @cache
 def devices() -> tuple[str, ...]:
     _say_only_errors()
-    return tuple(device for device, arch in _ARCHES.items() if ti.lang.misc.is_arch_supported(arch))
+    there = [device for device, arch in _ARCHES.items() if ti.lang.misc.is_arch_supported(arch)]
+    if "vulkan" in there:
+        there.remove("vulkan")
+        with contextlib.suppress(BackendError):  # a driver that computes on the CPU is the last choice
+            there.insert(len(there) if vulkan.choose().is_software else len(there) - 1, "vulkan")
+    return tuple(there)
 
 
 def start(device: str) -> None:
@@ -39,6 +45,8 @@ def start(device: str) -> None:
     with _LOCK:
         if impl.get_runtime().prog is None:
             _say_only_errors()
+            if device == "vulkan":
+                ti._lib.core.set_vulkan_visible_device(str(vulkan.choose().number))
             with contextlib.redirect_stdout(io.StringIO()):  # a line that says that it starts
                 # Fast mathematics would cost digits and gain nothing where kernels wait for memory.
                 ti.init(_ARCHES[device], log_level=_level(), fast_math=False, cpu_max_num_threads=get_threads())
@@ -83,6 +91,19 @@ def once(function: Callable[..., Kernels]) -> Callable[..., Kernels]:
 def on_cpu() -> bool:
     """True if the running Taichi computes on the CPU."""
     return _running() == "cpu"
+
+
+@cache
+def double() -> Any:
+    """Return the type of numbers and of sums over the whole picture: float64, or float32 where a GPU has no other."""
+    running = _running()
+    return ti.f32 if running == "metal" or (running == "vulkan" and not vulkan.choose().has_doubles) else ti.f64
+
+
+@cache
+def most_bytes() -> int:
+    """Return the size of the largest array that the running device can hold."""
+    return vulkan.choose().largest if _running() == "vulkan" else 2**63
 
 
 def _running() -> str:

@@ -1,6 +1,7 @@
 """Costs by angular sector; `kernels/reference/sectors.py` says what they are."""
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -8,8 +9,9 @@ import taichi as ti
 
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, SectorCosts, sectors_of
 
-from .memory import DeviceArray, doubles, flat, numpy, optional
-from .runtime import once, run
+from .memory import DeviceArray, flat, numpy, optional, table
+from .runtime import double, on_cpu, once, run
+from .sums import share, summing
 
 _NO_COSTS = 1.0  # where no view takes part
 
@@ -33,15 +35,16 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
         views: flat(stored, channels),
         image: flat(channels=channels),
         valid: flat(),
-        order: flat(ti.f64),
-        begins: flat(ti.f64),
+        order: flat(),
+        begins: flat(),
         first: flat(),
-        factor: flat(ti.f64),
+        factor: flat(double()),
         scale: float,
         step: float,
         label: int,
         height: int,
         width: int,
+        slices: int,
         rows: int,
         columns: int,
         costs_out: flat(costs),
@@ -49,7 +52,7 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
         """`order` holds for each view its number and its offset."""
         gain = ti.cast(factor[0], ti.f32)
         size = rows * columns * FOLD * FOLD
-        for i in range(costs_out.shape[0] // COSTS):
+        for i in range(slices * size):
             slice_ = i // size
             begin = slice_ * COSTS * size
             fy = i % size // (columns * FOLD)
@@ -68,8 +71,8 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
                 seen = 0.0
                 for k in range(ti.cast(begins[s], ti.i32), ti.cast(begins[s + 1], ti.i32)):
                     # The whole pixels of a shift and the rest apart: their sum with a column would have fewer digits.
-                    right = -disparity * ti.cast(order[3 * k + 1], ti.f32)
-                    down = -disparity * ti.cast(order[3 * k + 2], ti.f32)
+                    right = -disparity * order[3 * k + 1]
+                    down = -disparity * order[3 * k + 2]
                     dx = ti.floor(right)
                     dy = ti.floor(down)
                     ax = right - dx
@@ -121,9 +124,8 @@ class _SectorCosts:
         places = numpy(offsets)
         sectors = sectors_of(places)
         order = np.argsort(sectors, kind="stable")[np.count_nonzero(sectors < 0) :]
-        table = np.concatenate([order[:, None], places[order]], axis=1)
-        self._order = doubles(table if len(order) else np.zeros((1, 3)))  # there is no array of nothing
-        self._begins = doubles(np.searchsorted(sectors[order], np.arange(SECTORS + 1)))
+        self._order = table(np.concatenate([order[:, None], places[order]], axis=1))
+        self._begins = table(np.searchsorted(sectors[order], np.arange(SECTORS + 1)))
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
@@ -135,7 +137,7 @@ class _SectorCosts:
         mask, masked = optional(self._valid)
         find = _costs_kernel(channels, self._recorded.scalar, costs_out.scalar, masked)
         arrays = self._recorded.values, self._image.values, mask, self._order.values, self._begins.values
-        numbers = self._scale, step, label, height, width, *costs_out.shape[1:]
+        numbers = self._scale, step, label, height, width, *costs_out.shape
         run(find, *arrays, first.values, factor.values, *numbers, costs_out.values)
 
 
@@ -144,21 +146,33 @@ def sector_costs(shape: Sequence[int], offsets: DeviceArray, *, scale: float) ->
 
 
 @once
-def _brightness_kernel(channels: int) -> Any:
-    @ti.kernel
-    def brightness_kernel(image: flat(channels=channels), factor_out: flat(ti.f64)):
-        for _ in range(1):  # in order
-            total = ti.cast(0.0, ti.f64)
-            for p in range(image.shape[0]):
-                total += ti.cast(image[p].sum(), ti.f64)
-            mean = total / (image.shape[0] * channels)
-            factor_out[0] = ti.math.clamp(0.4 / (mean + 0.08), 0.5, 4.0)
+def _brightness_kernels(channels: int) -> SimpleNamespace:
+    real, cpu = double(), on_cpu()
 
-    return brightness_kernel
+    @ti.kernel
+    def add_kernel(image: flat(channels=channels), parts_out: flat(real)):
+        for part in range(parts_out.shape[0]):
+            i, step, end = share(part, parts_out.shape[0], image.shape[0], cpu)
+            total = ti.cast(0.0, real)
+            while i < end:
+                total += ti.cast(image[i].sum(), real)
+                i += step
+            parts_out[part] = total
+
+    @ti.kernel
+    def factor_kernel(count: int, factor_out: flat(real)):
+        """From the sum of so many values."""
+        factor_out[0] = ti.math.clamp(0.4 / (factor_out[0] / count + 0.08), 0.5, 4.0)
+
+    return SimpleNamespace(add=add_kernel, factor=factor_kernel)
 
 
 def brightness(image: DeviceArray, *, factor_out: DeviceArray) -> None:
-    run(_brightness_kernel(image.channels), image.values, factor_out.values)
+    channels = image.channels or 1
+    kernels, (parts, total) = _brightness_kernels(channels), summing()
+    run(kernels.add, image.values, parts.values)
+    total(parts, factor_out)
+    run(kernels.factor, image.size * channels, factor_out.values)
 
 
 @once
@@ -166,14 +180,15 @@ def _fold_kernel(channels: int, stored: Any) -> Any:
     @ti.kernel
     def fold_kernel(
         image: flat(channels=channels),
-        factor: flat(ti.f64),
+        factor: flat(double()),
         height: int,
         width: int,
+        rows: int,
         columns: int,
         folded_out: flat(stored),
     ):
         gain = ti.cast(factor[0], ti.f32)
-        for i in range(folded_out.shape[0] // 4):
+        for i in range(rows * columns * FOLD * FOLD):
             x = i % (FOLD * columns)
             y = i // (FOLD * columns)
             color = gain * image[ti.min(y, height - 1) * width + ti.min(x, width - 1)]
@@ -188,4 +203,4 @@ def _fold_kernel(channels: int, stored: Any) -> Any:
 
 def fold(image: DeviceArray, factor: DeviceArray, *, folded_out: DeviceArray) -> None:
     folding = _fold_kernel(image.channels, folded_out.scalar)
-    run(folding, image.values, factor.values, *image.shape, folded_out.shape[2], folded_out.values)
+    run(folding, image.values, factor.values, *image.shape, *folded_out.shape[1:], folded_out.values)

@@ -15,7 +15,7 @@ from lfgpu.contract import DataTerm
 
 from .landing import inside, land, nearest, within
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
-from .runtime import TASK, on_cpu, once, run
+from .runtime import TASK, double, on_cpu, once, run
 from .sums import GPU_PARTS, Total, share
 from .tent import tent, tent_slope
 
@@ -25,6 +25,7 @@ _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on t
 @once
 def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     """Return the kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
+    real = double()
     field, image_type, stored_image = flat(), flat(channels=channels), flat(stored, channels)
     pixel = ti.types.vector(channels, ti.f32)
 
@@ -213,17 +214,17 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         masked: ti.template(),
         scale: float,
         views_out: image_type,
-        squares_out: flat(ti.f64),
+        squares_out: flat(real),
     ):
         """Turns predicted views into residuals; each thread of a GPU adds up the squares of its own."""
         parts = squares_out.shape[0]
         for part in range(parts):
-            total = ti.f64(0.0)
+            total = ti.cast(0.0, real)
             i, step, end = share(part, parts, recorded.shape[0], cpu)
             while i < end:
                 value = difference(views_out[i], recorded, valid, masked, i, scale)
                 views_out[i] = value
-                total += ti.cast(value.norm_sqr(), ti.f64)
+                total += ti.cast(value.norm_sqr(), real)
                 i += step
             squares_out[part] = total
 
@@ -242,7 +243,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         slices: int,
         residuals: image_type,
         gradients_out: field,
-        squares_out: flat(ti.f64),
+        squares_out: flat(real),
     ):
         """Compute a slice of the views on each thread of a CPU, view after view, so that it stays in the cache."""
         count = offsets.shape[0] // 2
@@ -267,7 +268,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                             value = difference(residuals[own + p], recorded, valid, masked, n * size + p, scale)
                             residuals[own + p] = value
                             total = total + value.norm_sqr()
-                        squares_out[n * height + y] = ti.cast(total, ti.f64)
+                        squares_out[n * height + y] = ti.cast(total, real)
                     for y in range(height):
                         for x in range(width):
                             p = y * width + x
@@ -331,7 +332,7 @@ class _DataTerm:
         self._slices = min(_SLICES, n) if self._cpu else 1
         self._residuals = empty((self._slices if self._cpu else n, height, width), channels=channels)
         self._gradients = empty((self._slices, height, width))
-        self._squares, self._total = empty((n * height if self._cpu else GPU_PARTS,), scalar=ti.f64), Total()
+        self._squares, self._total = empty((n * height if self._cpu else GPU_PARTS,), scalar=double()), Total()
         self._offsets, self._scale, self._softness = offsets, scale, softness
         self._curvature = 2.0 * float((numpy(offsets).astype(np.float64) ** 2).sum())
 

@@ -1,11 +1,11 @@
-"""Sums of many terms in float64: parts of them first, then the parts, always in the same order."""
+"""Sums of many terms in numbers of type `double`: parts of them first, then the parts, always in the same order."""
 
 from types import SimpleNamespace
 
 import taichi as ti
 
 from .memory import DeviceArray, empty, flat
-from .runtime import on_cpu, once, run
+from .runtime import double, on_cpu, once, run
 
 GPU_PARTS = 32768
 """Partial sums of one total, a thread of a GPU each."""
@@ -26,7 +26,8 @@ def share(part: int, parts: int, count: int, cpu: ti.template()):
 
 @once
 def _kernels(cpu: bool) -> SimpleNamespace:
-    doubles = flat(ti.f64)
+    real = double()
+    doubles = flat(real)
 
     @ti.kernel
     def total_kernel(parts: doubles, groups_out: doubles, totals_out: doubles):
@@ -35,14 +36,14 @@ def _kernels(cpu: bool) -> SimpleNamespace:
         for i in range(totals * _GROUPS):
             first, step, end = share(i % _GROUPS, _GROUPS, parts.shape[0] // totals, cpu)
             begin = i // _GROUPS * (parts.shape[0] // totals)
-            total = ti.f64(0.0)
+            total = ti.cast(0.0, real)
             k = first
             while k < end:
                 total += parts[begin + k]
                 k += step
             groups_out[i] = total
         for i in range(totals):
-            total = ti.f64(0.0)
+            total = ti.cast(0.0, real)
             for group in range(_GROUPS):
                 total += groups_out[i * _GROUPS + group]
             totals_out[i] = total
@@ -51,9 +52,9 @@ def _kernels(cpu: bool) -> SimpleNamespace:
     def product_kernel(x: flat(), y: flat(), parts_out: doubles):
         for part in range(parts_out.shape[0]):
             i, step, end = share(part, parts_out.shape[0], x.shape[0], cpu)
-            total = ti.f64(0.0)
+            total = ti.cast(0.0, real)
             while i < end:
-                total += ti.cast(x[i], ti.f64) * ti.cast(y[i], ti.f64)
+                total += ti.cast(x[i], real) * ti.cast(y[i], real)
                 i += step
             parts_out[part] = total
 
@@ -61,22 +62,22 @@ def _kernels(cpu: bool) -> SimpleNamespace:
 
 
 class Total:
-    """Adds up the parts [totals * k] of each of some totals [totals], all float64."""
+    """Adds up the parts [totals * k] of each of some totals [totals], all of the type `double`."""
 
     def __init__(self, totals: int = 1) -> None:
-        self._kernel, self._groups = _kernels(on_cpu()).total, empty((totals * _GROUPS,), scalar=ti.f64)
+        self._kernel, self._groups = _kernels(on_cpu()).total, empty((totals * _GROUPS,), scalar=double())
 
     def __call__(self, parts: DeviceArray, totals_out: DeviceArray) -> None:
         run(self._kernel, parts.values, self._groups.values, totals_out.values)
 
 
 @once
-def _room() -> tuple[DeviceArray, Total]:
-    """Memory for the partial sums of a product, and their total."""
-    return empty((_CPU_PARTS if on_cpu() else GPU_PARTS,), scalar=ti.f64), Total()
+def summing() -> tuple[DeviceArray, Total]:
+    """Return memory for the partial sums of one total, and what adds them up."""
+    return empty((_CPU_PARTS if on_cpu() else GPU_PARTS,), scalar=double()), Total()
 
 
 def dot(a: DeviceArray, b: DeviceArray, product_out: DeviceArray) -> None:
-    parts, total = _room()
+    parts, total = summing()
     run(_kernels(on_cpu()).product, a.values, b.values, parts.values)
     total(parts, product_out)

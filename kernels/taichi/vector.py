@@ -6,16 +6,17 @@ from typing import Any
 import taichi as ti
 
 from .memory import DeviceArray, flat, one
-from .runtime import once, run
+from .runtime import double, once, run
 
 
 @once
 def _linear_kernels(kind: Any) -> SimpleNamespace:
     """Kernels of both fields (float32) and scalars (float64)."""
-    array, scalar = flat(kind), flat(ti.f64)
+    real = double()
+    array, scalar = flat(kind), flat(real)
 
     @ti.func
-    def coefficient(number: ti.f64, scalar: ti.template()):
+    def coefficient(number: real, scalar: ti.template()):
         """Multiply a number by a scalar, one of which is 1."""
         return ti.cast(number * scalar[0], kind)
 
@@ -26,13 +27,13 @@ def _linear_kernels(kind: Any) -> SimpleNamespace:
 
     @ti.kernel
     def axpby_kernel(
-        alpha: ti.f64, alpha_scalar: scalar, x: array, beta: ti.f64, beta_scalar: scalar, y: array, y_out: array
+        alpha: real, alpha_scalar: scalar, x: array, beta: real, beta_scalar: scalar, y: array, y_out: array
     ):
         for i in range(x.shape[0]):
             y_out[i] = coefficient(alpha, alpha_scalar) * x[i] + coefficient(beta, beta_scalar) * y[i]
 
     @ti.kernel
-    def fill_kernel(value: ti.f64, value_scalar: scalar, x_out: array):
+    def fill_kernel(value: real, value_scalar: scalar, x_out: array):
         for i in range(x_out.shape[0]):
             x_out[i] = coefficient(value, value_scalar)
 
@@ -41,7 +42,8 @@ def _linear_kernels(kind: Any) -> SimpleNamespace:
 
 @once
 def _kernels() -> SimpleNamespace:
-    field, scalar = flat(), flat(ti.f64)
+    real = double()
+    field, scalar = flat(), flat(real)
 
     @ti.kernel
     def multiply_kernel(x: field, y: field, product_out: field):
@@ -78,8 +80,8 @@ def _kernels() -> SimpleNamespace:
             x_out[i] = ti.math.clamp(x[i], low, high)
 
     @ti.kernel
-    def ratio_kernel(numerator: scalar, denominator: scalar, factor: ti.f64, ratio_out: scalar):
-        quotient = ti.f64(0.0)
+    def ratio_kernel(numerator: scalar, denominator: scalar, factor: real, ratio_out: scalar):
+        quotient = ti.cast(0.0, real)
         if denominator[0] != 0.0:
             quotient = factor * numerator[0] / denominator[0]
         ratio_out[0] = quotient

@@ -29,7 +29,10 @@ class _Workers(Computing):
     """Options of the estimates of all workers."""
 
     device: Annotated[
-        str | None, typer.Option(metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="all GPUs, else the CPU")
+        str | None,
+        typer.Option(
+            metavar="DEVICE", help="cpu, cuda, cuda:1, vulkan or metal.", show_default="all GPUs, else the CPU"
+        ),
     ] = None
     threads: Annotated[
         int | None,
@@ -156,11 +159,11 @@ def batch(
 
 def devices_of(backend: str, device: str | None) -> tuple[str, ...]:
     """Return the devices of local workers; BackendError if the backend or the device is missing."""
-    from lfgpu._backends import load, pick_device
+    from lfgpu._backends import alike, load, pick_device
 
     kernels = load(backend)
     best = pick_device(kernels, device)
-    return (best,) if device is not None or best == "cpu" else tuple(d for d in kernels.devices() if d != "cpu")
+    return (best,) if device is not None else alike(kernels, best)
 
 
 def _share_of_cores(workers: int) -> int:

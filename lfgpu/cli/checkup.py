@@ -5,11 +5,13 @@ self-test.
 from __future__ import annotations
 
 import importlib.metadata
+import multiprocessing
 import os
 import platform
 import re
 import tempfile
 from collections.abc import Iterator
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -233,9 +235,10 @@ def _trials(backends: tuple[BackendInfo, ...], parts: tuple[Part, ...]) -> Itera
             yield _of_part(part.extra, lf)
     expected: NDArray[Any] | None = None
     for info in sorted(backends, key=lambda info: info.name != "reference"):
-        # Taichi runs on one device per process, the first that is asked for.
-        for device in info.devices if info.name != "taichi" else info.devices[:1]:
-            trial, found = _estimate(lf, backend_named(info.name), device, expected)
+        for device in info.devices:
+            # Taichi runs on one device per process, the first that is asked for.
+            apart = info.name == "taichi" and device != info.devices[0]
+            trial, found = (_estimate_apart if apart else _estimate)(lf, backend_named(info.name), device, expected)
             expected = found if expected is None else expected
             yield trial
 
@@ -270,6 +273,19 @@ def _of_part(extra: str, lf: LightField) -> Trial:
     needs = ", ".join(f"{name} {version_of(name)}" for name, of in _requirements() if of == extra)
     problem = f"The part {extra} does not work with {needs} ({said}); {how_to_install(extra)}." if said else None
     return Trial(f"extra {extra}", perf_counter() - start, problem=problem)
+
+
+def _estimate_apart(
+    lf: LightField, backend: BackendName, device: str, expected: NDArray[Any] | None
+) -> tuple[Trial, NDArray[Any] | None]:
+    """Estimate in a process of its own."""
+    start = perf_counter()
+    try:
+        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+            return process.submit(_estimate, lf, backend, device, expected).result()
+    except BrokenExecutor:
+        what = f"{backend} on {device}"
+        return Trial(what, perf_counter() - start, problem=f"The estimate by {what} ended its process."), None
 
 
 def _estimate(

@@ -63,7 +63,12 @@ Deterministic = Annotated[
 
 Device = Annotated[
     str | None,
-    typer.Option("--device", metavar="DEVICE", help="cpu, cuda or cuda:1.", show_default="the first GPU, else the CPU"),
+    typer.Option(
+        "--device",
+        metavar="DEVICE",
+        help="cpu, cuda, cuda:1, vulkan or metal.",
+        show_default="the first GPU, else the CPU",
+    ),
 ]
 
 Cold = Annotated[bool, typer.Option("--cold", help="Estimate each frame independently, without the temporal prior.")]

@@ -49,7 +49,8 @@ def estimate_depth(
     backend
         "warp" (default), "taichi" or "reference".
     device
-        "cpu", "cuda" or "cuda:1". Default None: the first GPU that the backend can use, else the CPU.
+        "cpu", "cuda" or "cuda:1", with backend "taichi" also "vulkan" or "metal". Default None: the first GPU that the
+        backend can use, else the CPU.
     deterministic
         True: refuse a backend whose maps are not bit-identical from run to run on the same device. "warp" and
         "reference" are always deterministic, "taichi" on a CPU only. Default False.

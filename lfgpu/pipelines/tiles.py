@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import open_device
+from lfgpu._backends import alike, open_device
 from lfgpu.config import Config
 from lfgpu.contract import REDUCTION, Float32Array
 from lfgpu.data.lightfield import LightField
@@ -117,8 +117,7 @@ def estimate_in_tiles(
     start = perf_counter()
     first = open_device(backend, device)
     on_gpu = first.is_gpu
-    several = device is None and on_gpu and backend == "warp"
-    devices = [name for name in first.kernels.devices() if name != "cpu"] if several else [first.name]
+    devices = alike(first.kernels, first.name) if device is None else (first.name,)
     method = method_of(config)
     done: list[DepthResult] = []
 
