@@ -21,6 +21,7 @@ from .memory import DeviceArray, empty, flat, numpy, optional
 from .runtime import TASK, on_cpu, once, run
 
 _NOWHERE = -1e6  # the disparity of what nothing comes near
+_LOWEST = int(np.float32(_NOWHERE).view(np.int32)) ^ 0x7FFFFFFF  # its rank
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BUFFER = 20 * 2**20  # bytes
 _TOGETHER = 16  # views on a CPU
@@ -44,8 +45,13 @@ def _nearest_kernel(cpu: bool) -> Any:
         return place
 
     @ti.func
+    def swapped(bits: int):
+        """Turn the bits of a float32 into its rank, and back: every GPU has a maximum of integers that is atomic."""
+        return ti.select(bits < 0, bits ^ 0x7FFFFFFF, bits)
+
+    @ti.func
     def largest_around(fronts: ti.template(), corner: int, side: int, wide: int):
-        found = _NOWHERE
+        found = _LOWEST
         for j in range(side):
             for i in range(side):
                 found = ti.max(found, fronts[corner + j * wide + i])
@@ -60,7 +66,7 @@ def _nearest_kernel(cpu: bool) -> Any:
         reach: int,
         height: int,
         width: int,
-        fronts: field,
+        fronts: flat(ti.i32),
         nearest_out: field,
     ):
         """`count` views from the one numbered `first` on."""
@@ -69,7 +75,7 @@ def _nearest_kernel(cpu: bool) -> Any:
         room = (height + 2 * border) * wide
         size = height * width
         for i in range(count * room):
-            fronts[i] = _NOWHERE
+            fronts[i] = _LOWEST
         if ti.static(cpu):
             for task in range(count * TASK):
                 if task % TASK == 0:
@@ -80,7 +86,8 @@ def _nearest_kernel(cpu: bool) -> Any:
                         d = disparity[p]
                         place = place_of(p, d, du, dv, border, height, width)
                         if place >= 0:
-                            fronts[n * room + place] = ti.max(fronts[n * room + place], d)
+                            rank = swapped(ti.bit_cast(d, ti.i32))
+                            fronts[n * room + place] = ti.max(fronts[n * room + place], rank)
         else:
             for i in range(count * size):
                 n = i // size
@@ -88,15 +95,15 @@ def _nearest_kernel(cpu: bool) -> Any:
                 d = disparity[p]
                 place = place_of(p, d, offsets[2 * (first + n)], offsets[2 * (first + n) + 1], border, height, width)
                 if place >= 0:
-                    ti.atomic_max(fronts[n * room + place], d)
+                    ti.atomic_max(fronts[n * room + place], swapped(ti.bit_cast(d, ti.i32)))
         for i in range(count * size):
             n = i // size
             p = i - n * size
             corner = n * room + p // width * wide + p % width
             found = largest_around(fronts, corner + wide + 1, 2 * reach + 1, wide)
-            if found <= _NOWHERE:
+            if found == _LOWEST:
                 found = largest_around(fronts, corner, 2 * reach + 3, wide)
-            nearest_out[first * size + i] = found
+            nearest_out[first * size + i] = ti.bit_cast(swapped(found), ti.f32)
 
     return nearest_kernel
 
@@ -105,7 +112,7 @@ def z_buffer(shape: Sequence[int], offsets: DeviceArray, *, reach: int) -> ZBuff
     count, height, width, _ = shape
     room = (height + 2 * reach + 2) * (width + 2 * reach + 2)
     batch = min(count, _TOGETHER if on_cpu() else max(1, _BUFFER // (4 * room)))
-    fronts, kernel = empty((batch * room,)), _nearest_kernel(on_cpu())
+    fronts, kernel = empty((batch * room,), scalar=ti.i32), _nearest_kernel(on_cpu())
 
     def find(disparity: DeviceArray, nearest_out: DeviceArray) -> None:
         fields = disparity.values, offsets.values

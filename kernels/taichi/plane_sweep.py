@@ -1,8 +1,9 @@
 """Matching costs of the views at a row of disparities.
 
-`PlaneSweep` in `lfgpu/contract` says what is computed. One disparity after the other, some views at a time: first their
-differences from the reference view, then the costs of these. Views that belong to the same view_sets are added up
-first, and then once to each of these.
+`PlaneSweep` in `lfgpu/contract` says what is computed. On a CPU one disparity after the other, some views at a time:
+first their differences from the reference view, then the costs of these. On a GPU in one launch, with a thread for each
+pixel and disparity, whose sums stay in registers. Views that belong to the same view_sets are added up first, and then
+once to each of these.
 """
 
 from collections.abc import Sequence
@@ -18,8 +19,7 @@ from .runtime import on_cpu, once, run
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
-_TOGETHER = 32  # views at a time on a GPU, so that there are few launches
-_TOGETHER_CPU = 4  # so that what lies between two kernels stays in a cache
+_TOGETHER = 4  # views at a time on a CPU, so that what lies between two kernels stays in a cache
 _BLOCK = 64  # pixels of a row at a time on a CPU, so that what they share is worked out once
 
 
@@ -219,6 +219,120 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: i
     return cost_kernel
 
 
+@once
+def _gpu_kernel(channels: int, stored: Any, masked: bool, seen: bool, sloped: bool, view_sets: int) -> Any:
+    @ti.func
+    def along(views: ti.template(), row: int, x: int, shift: ti.template(), width: int):
+        """Interpolate a row of a view between two columns, at column x."""
+        value = ti.cast(views[row + within(x + shift.x, width)], ti.f32)
+        return value + shift.ax * (ti.cast(views[row + within(x + shift.x + 1, width)], ti.f32) - value)
+
+    @ti.kernel
+    def sweep_kernel(
+        views: flat(stored),
+        image: flat(),
+        valid: flat(),
+        nearest: flat(),
+        shifts: flat(),
+        members: flat(),
+        deepest: flat(),
+        count: int,
+        height: int,
+        width: int,
+        scale: float,
+        truncation: float,
+        gradient_weight: float,
+        gradient_truncation: float,
+        softness: float,
+        preference: float,
+        least: float,
+        volume_out: flat(),
+    ):
+        size = height * width
+        for i in range(volume_out.shape[0]):
+            label = i // size
+            p = i - label * size
+            y = p // width
+            x = p - y * width
+            # What lies beyond the border has no difference of its own: that of the border counts.
+            before = ti.max(x - 1, 0)
+            after = ti.min(x + 1, width - 1)
+            over = ti.max(y - 1, 0)
+            under = ti.min(y + 1, height - 1)
+            cost_of_group = 0.0
+            parts_of_group = 0.0
+            costs = ti.Vector([0.0 for _ in range(view_sets)])
+            parts = ti.Vector([0.0 for _ in range(view_sets)])
+            for k in range(count):
+                shift = shift_of(shifts, label * count + k)
+                tx = x + shift.x
+                ty = y + shift.y
+                part = 0.0
+                if tx >= 0 and tx + ti.cast(shift.ax > 0.0, ti.i32) < width:
+                    if ty >= 0 and ty + ti.cast(shift.ay > 0.0, ti.i32) < height:
+                        part = 1.0
+                if part > 0.0:
+                    near = (shift.view * height + ty + ti.cast(shift.ay >= 0.5, ti.i32)) * width
+                    near += tx + ti.cast(shift.ax >= 0.5, ti.i32)
+                    if ti.static(masked):
+                        part = ti.select(valid[near] != 0.0, part, 0.0)
+                    if ti.static(seen):
+                        part = ti.select(nearest[near] <= deepest[label], part, 0.0)
+                if part > 0.0:
+                    color = 0.0
+                    slope = 0.0
+                    for c in ti.static(range(channels)):
+                        plane = (shift.view * channels + c) * height
+                        own = c * size
+                        upper = (plane + within(ty, height)) * width
+                        lower = (plane + within(ty + 1, height)) * width
+                        u = along(views, upper, x, shift, width)
+                        d = along(views, lower, x, shift, width)
+                        color += abs(scale * (u + shift.ay * (d - u)) - image[own + p])
+                        if ti.static(sloped):
+                            u0 = along(views, upper, before, shift, width)
+                            d0 = along(views, lower, before, shift, width)
+                            u1 = along(views, upper, after, shift, width)
+                            d1 = along(views, lower, after, shift, width)
+                            change = u1 + shift.ay * (d1 - u1) - (u0 + shift.ay * (d0 - u0))
+                            row = own + y * width
+                            slope += abs(scale * change - (image[row + after] - image[row + before]))
+                            u0 = along(views, (plane + within(over + shift.y, height)) * width, x, shift, width)
+                            d0 = along(views, (plane + within(over + shift.y + 1, height)) * width, x, shift, width)
+                            u1 = along(views, (plane + within(under + shift.y, height)) * width, x, shift, width)
+                            d1 = along(views, (plane + within(under + shift.y + 1, height)) * width, x, shift, width)
+                            change = u1 + shift.ay * (d1 - u1) - (u0 + shift.ay * (d0 - u0))
+                            slope += abs(
+                                scale * change - (image[own + under * width + x] - image[own + over * width + x])
+                            )
+                    cost = rooted(ti.min(color / channels, truncation), softness)
+                    if ti.static(sloped):
+                        cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
+                    cost_of_group += cost
+                    parts_of_group += 1.0
+                if ti.static(not seen):
+                    if k + 1 == count or members[k * (view_sets + 1) + view_sets] != 0.0:
+                        for m in ti.static(range(view_sets)):
+                            if members[k * (view_sets + 1) + m] != 0.0:
+                                costs[m] += cost_of_group
+                                parts[m] += parts_of_group
+                        cost_of_group = 0.0
+                        parts_of_group = 0.0
+            if ti.static(seen):
+                costs[0] = cost_of_group
+                parts[0] = parts_of_group
+            fade = 1.0 / (1.0 + gradient_weight)
+            lowest = fade * (rooted(truncation, softness) + gradient_weight * gradient_truncation)
+            if parts[0] >= least:
+                lowest = fade * costs[0] / parts[0]
+            for m in ti.static(range(1, view_sets)):
+                if parts[m] > 0.0:
+                    lowest = ti.min(lowest, (1.0 + preference) * fade * costs[m] / parts[m] + _PENALTY)
+            volume_out[i] = lowest
+
+    return sweep_kernel
+
+
 @ti.kernel
 def _least_kernel(
     sums: flat(),
@@ -265,12 +379,14 @@ class _PlaneSweep:
         self._members = table(np.concatenate([members, ends[:, None]], axis=1))
         self._deepest = [float(d) for d in disparities.first + disparities.step * np.arange(count) + views.tolerance]
         _, height, width, channels = self._shape
-        self._batch = max(1, min(self._views, _TOGETHER_CPU if on_cpu() else _TOGETHER))
-        self._block = _BLOCK if on_cpu() else 1
+        self._batch = max(1, min(self._views, _TOGETHER))
         self._image = empty((channels, height, width))
-        self._differences = empty((self._batch, channels, height, width))
-        self._group = empty((2, height, width))
-        self._sums = empty((self._view_sets, 2, height, width))
+        if on_cpu():
+            self._differences = empty((self._batch, channels, height, width))
+            self._group = empty((2, height, width))
+            self._sums = empty((self._view_sets, 2, height, width))
+        else:
+            self._limits = table(np.array(self._deepest))
         self._recorded: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
@@ -299,8 +415,15 @@ class _PlaneSweep:
         limits = cost.truncation, cost.gradient_weight, cost.gradient_truncation, cost.softness
         _, height, width, channels = self._shape
         (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
-        differ = _difference_kernel(self._recorded.scalar, self._block)
-        add = _cost_kernel(channels, masked, seen, gradients, self._block)
+        if not on_cpu():
+            sweep = _gpu_kernel(channels, self._recorded.scalar, masked, seen, gradients, sets)
+            pictures = self._recorded.values, self._image.values, mask, surface
+            tables = self._shifts.values, self._members.values, self._limits.values
+            numbers = self._views, height, width, self._scale, *limits, self._preference, least
+            run(sweep, *pictures, *tables, *numbers, volume_out.values)
+            return
+        differ = _difference_kernel(self._recorded.scalar, _BLOCK)
+        add = _cost_kernel(channels, masked, seen, gradients, _BLOCK)
         shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
         size = height * width
         for label, deepest in enumerate(self._deepest):

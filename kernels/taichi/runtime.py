@@ -10,6 +10,8 @@ from typing import Any, TypeVar
 
 import taichi as ti
 from taichi.lang import impl
+from taichi.types import primitive_types
+from taichi.types.ndarray_type import NdarrayType
 
 from lfgpu import vulkan
 from lfgpu.errors import BackendError
@@ -71,10 +73,53 @@ def alone() -> Iterator[None]:
         yield
 
 
-def run(kernel: Callable[..., None], *arguments: Any) -> None:
-    """Launch a kernel."""
+_prepared: dict[tuple[Hashable, ...], Callable[..., None]] = {}
+
+
+def run(kernel: Any, *arguments: Any) -> None:
+    """Launch a kernel; from the second time on without a look at the types, which takes longer than most kernels.
+
+    Annotations of kernels name the types of all arguments, so that there is one compiled kernel for the values of its
+    templates.
+    """
     with alone():
-        kernel(*arguments)
+        primal = kernel._primal
+        key = primal, *(arguments[slot] for slot in primal.template_slot_locations)
+        if key in _prepared:
+            _prepared[key](*arguments)
+        else:
+            kernel(*arguments)
+            _prepared[key] = _prepare(primal, arguments)
+
+
+def _prepare(primal: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
+    """Return what launches a kernel that is compiled for arguments like these."""
+    setters: list[tuple[int, tuple[int], str]] = []
+    for place, argument in enumerate(primal.arguments):
+        wanted = argument.annotation
+        if place in primal.template_slot_locations:
+            continue
+        if isinstance(wanted, NdarrayType):
+            setter = "set_arg_ndarray"
+        elif id(wanted) in primitive_types.real_type_ids:
+            setter = "set_arg_float"
+        elif id(wanted) in primitive_types.integer_type_ids:
+            setter = "set_arg_int"
+        else:
+            return primal
+        setters.append((place, (len(setters),), setter))
+    program = impl.get_runtime().prog
+    compiled = primal.compiled_kernels[primal.func, primal.mapper.lookup(arguments)[0], primal.autodiff_mode]
+    binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
+
+    def launch(*arguments: Any) -> None:
+        context = compiled.make_launch_context()
+        for place, index, setter in setters:
+            value = arguments[place]
+            getattr(context, setter)(index, value.arr if setter == "set_arg_ndarray" else value)
+        program.launch_kernel(binary, context)
+
+    return launch
 
 
 def once(function: Callable[..., Kernels]) -> Callable[..., Kernels]:

@@ -4,7 +4,7 @@ A path has cost nothing before it begins: then the formula of its further pixels
 are. A diagonal that leaves the frame at one side goes on, as another path, at the other side of the next row.
 """
 
-from types import SimpleNamespace
+from typing import Any
 
 import taichi as ti
 
@@ -14,10 +14,38 @@ from .runtime import TASK, on_cpu, once, run
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
 _BLOCK = 32  # paths whose costs lie side by side
 _SOME = 8  # disparities of which a thread reads all costs before it goes on
+_LANES, _PATHS = 16, 8  # threads of a GPU that follow a path, and paths of a block of threads
+
+
+@ti.func
+def pixel_of(path: int, i: int, dy: int, dx: int, height: int, width: int):
+    """(p, begins): the index of pixel `i` of a path, and whether a path begins there."""
+    x = path
+    y = path
+    if dy == 0:
+        x = i
+        if dx < 0:
+            x = width - 1 - i
+    else:
+        x = (path + dx * i) % width  # never negative: as Python does it
+        y = i
+        if dy < 0:
+            y = height - 1 - i
+    return y * width + x, i == 0 or x - dx < 0 or x - dx >= width
+
+
+@ti.func
+def penalties(
+    image: ti.template(), scale: ti.template(), p: int, before: int, small: float, large: float, contrast: float
+):
+    """(one, more): the costs of a step to the next disparity and to any other one, from the pixel before."""
+    difference = ti.abs(image[p] - image[before])
+    likeness = ti.exp(-difference.sum() / (difference.n * contrast))
+    return scale[p] * small * ti.max(likeness, 0.2), scale[p] * ti.max(large * likeness, 1.2 * small)
 
 
 @once
-def _kernels(channels: int) -> SimpleNamespace:
+def _cpu_kernel(channels: int) -> Any:
     @ti.func
     def advance(
         volume: ti.template(),
@@ -40,30 +68,14 @@ def _kernels(channels: int) -> SimpleNamespace:
         """To pixel `i` of a path. `costs` [block, l, path] and `leasts` [path] are those of the path so far."""
         size = height * width
         count = volume.shape[0] // size
-        x = path
-        y = path
-        if dy == 0:
-            x = i
-            if dx < 0:
-                x = width - 1 - i
-        else:
-            x = (path + dx * i) % width  # never negative: as Python does it
-            y = i
-            if dy < 0:
-                y = height - 1 - i
-        p = y * width + x
-        begins = i == 0 or x - dx < 0 or x - dx >= width
+        p, begins = pixel_of(path, i, dy, dx, height, width)
         least = 0.0
         one = 0.0
         most = 0.0
         if not begins:
-            difference = 0.0
-            for c in ti.static(range(channels)):
-                difference += ti.abs(image[p][c] - image[p - dy * width - dx][c])
-            likeness = ti.exp(-difference / (channels * contrast))
             least = leasts[path]
-            one = scale[p] * small * ti.max(likeness, 0.2)
-            most = least + scale[p] * ti.max(large * likeness, 1.2 * small)
+            one, more = penalties(image, scale, p, p - dy * width - dx, small, large, contrast)
+            most = least + more
         least_here = ti.math.inf
         low = ti.math.inf
         start = path // _BLOCK * (count * _BLOCK) + path % _BLOCK
@@ -137,8 +149,16 @@ def _kernels(channels: int) -> SimpleNamespace:
                             sums,
                         )
 
+    return blocks_kernel
+
+
+@once
+def _gpu_kernel(channels: int, some: int) -> Any:
+    """Return the kernel in which a row of threads follows a path, with `some` disparities each."""
+    room = _LANES * some + 2  # costs of a path, with one more at either end
+
     @ti.kernel
-    def paths_kernel(
+    def lanes_kernel(
         volume: flat(),
         image: flat(channels=channels),
         scale: flat(),
@@ -152,34 +172,69 @@ def _kernels(channels: int) -> SimpleNamespace:
         adds: int,
         paths: int,
         steps: int,
-        costs: flat(),
-        leasts: flat(),
         sums: flat(),
     ):
-        """Follow a path on each thread of a GPU, few on each block, so that all processors have some."""
-        ti.loop_config(block_dim=_BLOCK)
-        for path in range(paths):
+        """Keep the costs of two steps, of which one is read and one is written, so that threads meet once a step."""
+        ti.loop_config(block_dim=_LANES * _PATHS)
+        for thread in range((paths + _PATHS - 1) // _PATHS * _PATHS * _LANES):
+            costs = ti.simt.block.SharedArray((2 * room * _PATHS,), ti.f32)
+            leasts = ti.simt.block.SharedArray((2 * _LANES * _PATHS,), ti.f32)
+            size = height * width
+            count = volume.shape[0] // size
+            own = thread % _PATHS
+            lane = thread // _PATHS % _LANES
+            path = ti.min(thread // (_PATHS * _LANES) * _PATHS + own, paths - 1)  # the last one several times
+            counts = thread // (_PATHS * _LANES) * _PATHS + own < paths
+            first = lane * some
+            for side in range(2):
+                if lane == 0:
+                    costs[(side * room) * _PATHS + own] = ti.math.inf
+                    costs[(side * room + room - 1) * _PATHS + own] = ti.math.inf
+            cost = ti.Vector([0.0 for _ in range(some)])
+            total = ti.Vector([0.0 for _ in range(some)])
+            p, begins = pixel_of(path, 0, dy, dx, height, width)
+            for k in ti.static(range(some)):
+                place = ti.min(first + k, count - 1) * size + p
+                cost[k] = volume[place]
+                if adds != 0:
+                    total[k] = sums[place]
             for i in range(steps):
-                advance(
-                    volume,
-                    image,
-                    scale,
-                    height,
-                    width,
-                    small,
-                    large,
-                    contrast,
-                    dy,
-                    dx,
-                    adds,
-                    path,
-                    i,
-                    costs,
-                    leasts,
-                    sums,
-                )
+                # What the next step needs is on its way while this one is worked out.
+                next_p, next_begins = pixel_of(path, ti.min(i + 1, steps - 1), dy, dx, height, width)
+                next_cost = ti.Vector([0.0 for _ in range(some)])
+                next_total = ti.Vector([0.0 for _ in range(some)])
+                for k in ti.static(range(some)):
+                    place = ti.min(first + k, count - 1) * size + next_p
+                    next_cost[k] = volume[place]
+                    if adds != 0:
+                        next_total[k] = sums[place]
+                side = i % 2
+                if not begins:
+                    least = ti.math.inf
+                    for k in ti.static(range(_LANES)):
+                        least = ti.min(least, leasts[((1 - side) * _LANES + k) * _PATHS + own])
+                    one, more = penalties(image, scale, p, p - dy * width - dx, small, large, contrast)
+                    before = ti.Vector([0.0 for _ in range(some + 2)])
+                    for k in ti.static(range(some + 2)):
+                        before[k] = costs[((1 - side) * room + first + k) * _PATHS + own]
+                    for k in ti.static(range(some)):
+                        change = ti.min(ti.min(before[k], before[k + 2]) + one, least + more)
+                        cost[k] += ti.min(before[k + 1], change) - least
+                least_here = ti.math.inf
+                for k in ti.static(range(some)):
+                    kept = ti.select(first + k < count, cost[k], ti.math.inf)
+                    costs[(side * room + first + 1 + k) * _PATHS + own] = kept
+                    least_here = ti.min(least_here, kept)
+                    if counts and first + k < count:
+                        sums[(first + k) * size + p] = total[k] + cost[k]
+                leasts[(side * _LANES + lane) * _PATHS + own] = least_here
+                ti.simt.block.sync()
+                cost = next_cost
+                total = next_total
+                p = next_p
+                begins = next_begins
 
-    return SimpleNamespace(blocks=blocks_kernel, paths=paths_kernel)
+    return lanes_kernel
 
 
 def semi_global(
@@ -193,10 +248,12 @@ def semi_global(
     sum_out: DeviceArray,
 ) -> None:
     count, height, width = volume.shape
-    most = -(-max(height, width) // _BLOCK)
-    costs, leasts = empty((most, count, _BLOCK)), empty((most, _BLOCK))
-    kernels = _kernels(image.channels)
-    kernel = kernels.blocks if on_cpu() else kernels.paths
+    scratch: tuple[DeviceArray, ...] = ()
+    if on_cpu():
+        most = -(-max(height, width) // _BLOCK)
+        kernel, scratch = _cpu_kernel(image.channels), (empty((most, count, _BLOCK)), empty((most, _BLOCK)))
+    else:
+        kernel = _gpu_kernel(image.channels, -(-count // _LANES))
     for k, (dy, dx) in enumerate(_DIRECTIONS):
         run(
             kernel,
@@ -213,7 +270,6 @@ def semi_global(
             int(k > 0),
             width if dy else height,
             height if dy else width,
-            costs.values,
-            leasts.values,
+            *(array.values for array in scratch),
             sum_out.values,
         )
