@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Literal, TypeAlias, cast
 
-from lfgpu import vulkan
 from lfgpu.errors import BackendError
 from lfgpu.machine import version_of
+from lfgpu.vulkan import choose
 
 if TYPE_CHECKING:
     from lfgpu.contract import Device, KernelSet
@@ -130,7 +130,7 @@ def _why_not(device: str) -> str:
         return "; Metal needs macOS on Apple silicon and the backend 'taichi'"
     if device == "vulkan":
         try:
-            found = vulkan.choose()
+            found = choose()
         except BackendError as error:
             return f"; {str(error).rstrip('.')}"
         return f"; the backend 'taichi' runs on {found.name}"

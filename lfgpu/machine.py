@@ -10,8 +10,8 @@ import sys
 from functools import lru_cache
 from pathlib import Path
 
-from lfgpu import vulkan
 from lfgpu.errors import BackendError
+from lfgpu.vulkan import VulkanDevice, choose
 
 _MEMINFO = Path("/proc/meminfo")
 _LONGEST = 256  # bytes of a name, with its terminating zero
@@ -73,9 +73,9 @@ def _cpu() -> str | None:
     return platform.processor() or None
 
 
-def _vulkan() -> vulkan.VulkanDevice | None:
+def _vulkan() -> VulkanDevice | None:
     try:
-        return vulkan.choose()
+        return choose()
     except BackendError:
         return None
 

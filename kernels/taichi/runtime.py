@@ -13,9 +13,9 @@ from taichi.lang import impl
 from taichi.types import primitive_types
 from taichi.types.ndarray_type import NdarrayType
 
-from lfgpu import vulkan
 from lfgpu.errors import BackendError
 from lfgpu.threads import get_threads
+from lfgpu.vulkan import choose
 
 TASK = 512
 """Taichi gives each thread of a CPU at least so many iterations of a loop.
@@ -37,7 +37,7 @@ def devices() -> tuple[str, ...]:
     if "vulkan" in there:
         there.remove("vulkan")
         with contextlib.suppress(BackendError):  # a driver that computes on the CPU is the last choice
-            there.insert(len(there) if vulkan.choose().is_software else len(there) - 1, "vulkan")
+            there.insert(len(there) if choose().is_software else len(there) - 1, "vulkan")
     return tuple(there)
 
 
@@ -48,7 +48,7 @@ def start(device: str) -> None:
         if impl.get_runtime().prog is None:
             _say_only_errors()
             if device == "vulkan":
-                ti._lib.core.set_vulkan_visible_device(str(vulkan.choose().number))
+                ti._lib.core.set_vulkan_visible_device(str(choose().number))
             with contextlib.redirect_stdout(io.StringIO()):  # a line that says that it starts
                 # Fast mathematics would cost digits and gain nothing where kernels wait for memory.
                 ti.init(_ARCHES[device], log_level=_level(), fast_math=False, cpu_max_num_threads=get_threads())
@@ -142,13 +142,13 @@ def on_cpu() -> bool:
 def double() -> Any:
     """Return the type of numbers and of sums over the whole picture: float64, or float32 where a GPU has no other."""
     running = _running()
-    return ti.f32 if running == "metal" or (running == "vulkan" and not vulkan.choose().has_doubles) else ti.f64
+    return ti.f32 if running == "metal" or (running == "vulkan" and not choose().has_doubles) else ti.f64
 
 
 @cache
 def most_bytes() -> int:
     """Return the size of the largest array that the running device can hold."""
-    return vulkan.choose().largest if _running() == "vulkan" else 2**63
+    return choose().largest if _running() == "vulkan" else 2**63
 
 
 def _running() -> str:
