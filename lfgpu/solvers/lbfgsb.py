@@ -117,7 +117,7 @@ class ScipyLbfgsb:
         converged = done() or (small is None and bool(result.success))
         if converged:
             reason = "the energy no longer falls" if small is None else "the gradient is small enough"
-        elif result.status == _LIMIT:
+        elif result.get("status") == _LIMIT:  # it has none where bounds fix all unknowns
             reason = "the limit of iterations is reached"
         else:
             reason = "the line search finds nothing lower"
