@@ -100,6 +100,6 @@ def test_what_is_hidden_lands_where_something_nearer_lands(boxes: LightField, in
     for row, column in zip(y, x, strict=True):
         lands = (np.abs(at_x - at_x[row, column]) < 0.5) & (np.abs(at_y - at_y[row, column]) < 0.5)
         want.append(map_[lands].max() - map_[row, column] > 1.2 / np.hypot(*boxes.offsets.T).max())
-    found = points.hidden(boxes, map_, y, x, index)
+    found = points.hidden(boxes, map_, y, x, np.array([index]))[0]
     assert 0.01 < np.mean(want) < 0.5
     assert (found == np.array(want)).mean() > 0.98
