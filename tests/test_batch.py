@@ -40,9 +40,8 @@ from batch_runs import (
 )
 
 from lfgpu.batch.cluster import BatchError, Cluster, _Task
-from lfgpu.batch.items import Item, find_items
+from lfgpu.batch.items import MANIFEST_FILE, Item, find_items
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, read_manifest
-from lfgpu.batch.names import MANIFEST_FILE
 from lfgpu.batch.run import Batch, Summary
 from lfgpu.batch.work import work
 from lfgpu.io import REPORT_FILE

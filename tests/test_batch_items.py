@@ -18,9 +18,8 @@ from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
 from lfgpu.batch.cluster import BatchError, Cluster
-from lfgpu.batch.items import find_items, fingerprint
+from lfgpu.batch.items import MANIFEST_FILE, find_items, fingerprint
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, read_manifest
-from lfgpu.batch.names import MANIFEST_FILE
 from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work

@@ -18,9 +18,8 @@ import pytest
 from batch_runs import FAST, SLOW, jobs, lfgpu
 
 from lfgpu import LightFieldError
-from lfgpu.batch.items import Item, find_items
+from lfgpu.batch.items import MANIFEST_FILE, Item, find_items
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, damaged_lines, key_of, read_manifest, standing
-from lfgpu.batch.names import MANIFEST_FILE
 from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, Summary
 from lfgpu.batch.work import work

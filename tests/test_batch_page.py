@@ -12,9 +12,8 @@ import pytest
 from PIL import Image
 
 from lfgpu import LightField, scenes
-from lfgpu.batch.items import Item, find_items
+from lfgpu.batch.items import ERROR_FILE, PREVIEW_FILE, VIEW_FILE, Item, find_items
 from lfgpu.batch.manifest import Manifest, read_manifest
-from lfgpu.batch.names import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.report import facts, write_report
 from lfgpu.batch.run import Batch, Summary, _jobs
 from lfgpu.batch.work import Settings, work

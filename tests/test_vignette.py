@@ -10,8 +10,8 @@ import pytest
 
 import lfgpu
 from lfgpu import LightField, scenes
-from lfgpu.data.vignette import without_black_corners
 from lfgpu.io import write_hci
+from lfgpu.io.brightness import without_black_corners
 
 SIZE = 64
 

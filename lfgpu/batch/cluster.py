@@ -24,7 +24,7 @@ from typing import Any
 from lfgpu.batch.manifest import FAILED
 from lfgpu.batch.work import Job, OutOfMemory, work
 from lfgpu.errors import LfgpuError
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import how_to_install
 from lfgpu.threads import set_threads
 
 ITEM_TIMEOUT = 7200.0

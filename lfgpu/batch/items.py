@@ -11,15 +11,23 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from lfgpu.batch.names import MANIFEST_FILE, OWN
 from lfgpu.errors import LightFieldError
 from lfgpu.io import RESULT_FILE, several
 from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
+from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.io.numbered import frames_of
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
+
+MANIFEST_FILE = "manifest.jsonl"
+LOCK_FILE = ".batch.lock"
+VIEW_FILE, PREVIEW_FILE, ERROR_FILE = "view.jpg", "preview.png", "error.png"
+"""Pictures of an item for the page: the reference view, the map, and its error where there is ground truth."""
+OWN = (MANIFEST_FILE, LOCK_FILE, REPORT_FILE)
+"""The files that lie beside the folders of the items."""
+
 
 _LOOSE = ("camera-row", "named-views")  # formats that match any folder of images
 _OF_OUTPUTS = (MANIFEST_FILE, RESULT_FILE)  # files that mark a folder as an output

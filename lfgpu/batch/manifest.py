@@ -11,8 +11,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any
 
-from lfgpu.batch.items import Item
-from lfgpu.batch.names import LOCK_FILE, MANIFEST_FILE
+from lfgpu.batch.items import LOCK_FILE, MANIFEST_FILE, Item
 from lfgpu.config import Config
 from lfgpu.errors import LightFieldError
 from lfgpu.io.folders import not_waited_for

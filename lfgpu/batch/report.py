@@ -12,12 +12,12 @@ from urllib.parse import quote
 
 from markupsafe import Markup
 
+from lfgpu.batch.items import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.manifest import DONE
-from lfgpu.batch.names import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.run import Summary
 from lfgpu.comparison import COLUMNS
 from lfgpu.io.atomic import atomic_write
-from lfgpu.io.names import REPORT_FILE
+from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.reports.facts import date, preset
 from lfgpu.viz.cards import Scale, Tile, scale
 from lfgpu.viz.colours import LOOKS

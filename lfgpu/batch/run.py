@@ -15,7 +15,7 @@ from lfgpu.batch.items import Item, fingerprint
 from lfgpu.batch.manifest import DONE, Manifest, damaged_lines, is_done, key_of, read_manifest
 from lfgpu.batch.work import Job, Settings
 from lfgpu.io.atomic import LEFT_OVER
-from lfgpu.io.names import REPORT_FILE
+from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.machine import version_of
 
 _MEASURED_ON = 8  # frames of a sequence that are tried, in order, to measure range and noise

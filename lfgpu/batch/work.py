@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
-from lfgpu.batch.items import Item
+from lfgpu.batch.items import ERROR_FILE, PREVIEW_FILE, VIEW_FILE, Item
 from lfgpu.batch.manifest import DONE, FAILED
-from lfgpu.batch.names import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.config import Config
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
-from lfgpu.io.names import REPORT_FILE
+from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.machine import device_name
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured

@@ -11,7 +11,7 @@ from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.rig import Rig, fit_rig
 from lfgpu.cameras import Explanation, explain, residual_pictures
 from lfgpu.cameras.tones import Tones
-from lfgpu.io.pictures import load_pictures
+from lfgpu.io.views import load_pictures
 from lfgpu.pipelines.rig_watch import RigWatch
 from lfgpu.pipelines.verdict import judged
 

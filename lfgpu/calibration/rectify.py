@@ -21,8 +21,8 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
-from lfgpu.io.pictures import load_pictures
 from lfgpu.io.png import write_png
+from lfgpu.io.views import load_pictures
 from lfgpu.pipelines.rectifier import Rectifier
 
 _BY_ORDER = ("Kalibr", "LLFF")  # formats that have no names of pictures

@@ -228,8 +228,8 @@ def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
 
 
 def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:
+    from lfgpu.batch.items import ERROR_FILE, MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
     from lfgpu.batch.manifest import DONE
-    from lfgpu.batch.names import ERROR_FILE, MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
     from lfgpu.batch.report import facts
     from lfgpu.cli import console as shown
     from lfgpu.cli.summary import show_next

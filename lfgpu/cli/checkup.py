@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 from lfgpu.cli.part_trials import TRIALS
 from lfgpu.errors import LfgpuError
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import how_to_install
 from lfgpu.machine import version_of
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def _writable(folder: Path) -> bool:
 def _memory() -> dict[str, int | None]:
     import shutil
 
-    from lfgpu.io.limits import physical_memory
+    from lfgpu.io.damage import physical_memory
     from lfgpu.machine import free_memory
 
     return {

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.names import REPORT_FILE
+from lfgpu.io.map_formats import REPORT_FILE
 
 if TYPE_CHECKING:
     import numpy as np
@@ -57,7 +57,7 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
 
 def are_batches(folders: list[Path]) -> bool:
     """Tell whether all folders are outputs of `lfgpu batch`."""
-    from lfgpu.batch.names import MANIFEST_FILE
+    from lfgpu.batch.items import MANIFEST_FILE
 
     return all((folder / MANIFEST_FILE).is_file() for folder in folders)
 

@@ -86,7 +86,7 @@ def _extract(source: Path, out: Path) -> None:
     """Write what a processed container holds."""
     from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import lytro
-    from lfgpu.io.lytro.written import write_contents
+    from lfgpu.io.lytro.reader import write_contents
 
     held = lytro.inside(source)
     with waiting(f"reading {source.name}"):

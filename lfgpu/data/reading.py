@@ -55,3 +55,13 @@ class Reading:
 
 NOTHING = Reading()
 """Nothing was read."""
+
+
+@dataclass(frozen=True)
+class Inside:
+    """Facts about a file that no light field has a place for."""
+
+    facts: tuple[tuple[str, str], ...]
+    """(label, text) each, in the order of importance."""
+    no_depth: str | None = None
+    """A sentence that says why there is no light field in it; None if there is one."""

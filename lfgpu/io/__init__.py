@@ -6,7 +6,12 @@ from lfgpu.io.formats import FORMATS, Format, inside, read, recognise
 from lfgpu.io.hci import write_hci
 from lfgpu.io.images import read_mask
 from lfgpu.io.map_formats import (
+    DEPTH_FILE,
+    DISPARITY_FILE,
     MAP_FORMATS,
+    REPORT_FILE,
+    RESULT_FILE,
+    VIEWS_FILE,
     MapFormat,
     holds_map,
     load,
@@ -16,7 +21,6 @@ from lfgpu.io.map_formats import (
     save,
     writable_format,
 )
-from lfgpu.io.names import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE, VIEWS_FILE
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
 

@@ -17,8 +17,7 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.exr import channel, read_channels
-from lfgpu.io.members import Members
-from lfgpu.io.texts import read_json_or_toml
+from lfgpu.io.texts import Members, read_json_or_toml
 from lfgpu.io.views import load_views
 
 CONFIGURATION_FILE = "lightfield.json"

@@ -1,10 +1,16 @@
-"""Errors that come up while a file is read, as one sentence that names the file."""
+"""Guards of readers: damage becomes a sentence, and claimed sizes are judged before memory is taken for them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+import importlib
+import math
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from lfgpu.errors import LightFieldError
 
@@ -33,3 +39,86 @@ def reason_of(error: Exception) -> str:
     """Return the reason of an error on one line, without a full stop."""
     said = getattr(error, "strerror", None) or str(error)
     return " ".join(str(said).split()).rstrip(".") or type(error).__name__
+
+
+_BEST_RATIO = 2000  # deflate reaches 1032; no picture of a scene comes near what the best packers do with black
+_ALWAYS_FINE = 1 << 24  # bytes: so much may be claimed by the smallest file
+
+
+def check_claim(
+    path: Path,
+    shape: Sequence[int],
+    dtype: Any,
+    *,
+    in_memory: bool = True,
+) -> None:
+    """Raise LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory.
+
+    Parameters
+    ----------
+    path
+        The file, of which only the size is looked at.
+    shape, dtype
+        What its header says of the array.
+    in_memory
+        Whether memory will be taken for it.
+    """
+    if any(side < 0 for side in shape):
+        raise LightFieldError(f"{path} is damaged: it claims an array of shape {tuple(shape)}.")
+    claimed = math.prod(int(side) for side in shape) * np.dtype(dtype).itemsize
+    stored = path.stat().st_size
+    if claimed > max(_ALWAYS_FINE, stored * _BEST_RATIO):
+        raise LightFieldError(
+            f"{path} is damaged: it claims {claimed} bytes of pixels, which a file of {stored} bytes cannot hold."
+        )
+    if in_memory:
+        check_memory(path, claimed, advice="read fewer or smaller views")
+
+
+def check_memory(path: Path, needed: int, *, advice: str) -> None:
+    """Raise LightFieldError if so many bytes are more than the machine has."""
+    memory = physical_memory()
+    if memory and needed > memory:
+        raise LightFieldError(
+            f"{path} does not fit into memory: its views are {needed / 2**30:.1f} GiB, "
+            f"this machine has {memory / 2**30:.1f} GiB; {advice}."
+        )
+
+
+def physical_memory() -> int:
+    """Return the memory of the machine in bytes; 0 where the system does not say."""
+    try:
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, OSError, ValueError):  # Windows has no sysconf
+        return 0
+
+
+_POINTER = b"version https://git-lfs.github.com/spec/"
+
+
+def check_fetched(path: Path) -> None:
+    """Raise LightFieldError that says what to do if a regular file is such a text; nothing if it cannot be read."""
+    start = b""
+    with suppress(OSError):
+        if path.is_file():  # opening a pipe would wait for somebody to write into it
+            with path.open("rb") as file:
+                start = file.read(len(_POINTER))
+    if start == _POINTER:
+        raise LightFieldError(
+            f"{path} was not fetched: Git LFS left a pointer in its place; run 'git lfs pull' in its repository."
+        )
+
+
+def require(module: str, extra: str, path: Path) -> Any:
+    """Import an optional library; LightFieldError that says how to install it where it is missing."""
+    try:
+        return importlib.import_module(module)
+    except ImportError as error:
+        raise LightFieldError(
+            f"reading {path} needs {module.partition('.')[0]}, which is not installed; {how_to_install(extra)}."
+        ) from error
+
+
+def how_to_install(extra: str) -> str:
+    """Say how to install the libraries of an extra, as the last part of a sentence."""
+    return f"install it from the folder of lfgpu's source: pip install -e '.[{extra}]'"

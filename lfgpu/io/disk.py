@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
-from lfgpu.io.limits import check_memory
+from lfgpu.io.damage import check_memory
 
 _WANTED: ContextVar[bool] = ContextVar("views stay on disk", default=False)
 

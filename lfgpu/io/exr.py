@@ -18,11 +18,8 @@ from numpy.typing import NDArray
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
-from lfgpu.io.damage import read_as
-from lfgpu.io.extras import require
+from lfgpu.io.damage import check_claim, check_fetched, read_as, require
 from lfgpu.io.folders import head
-from lfgpu.io.git_lfs import check_fetched
-from lfgpu.io.limits import check_claim
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _LAYERS = ("", "Combined", "Image", "RGBA", "Depth")  # of Blender

@@ -14,7 +14,7 @@ from typing import Any
 from lfgpu.data.light_field_checks import check_whole
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
-from lfgpu.data.vignette import without_black_corners
+from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
     blender,
@@ -24,25 +24,23 @@ from lfgpu.io import (
     lenslet,
     lftoolbox,
     lytro,
-    mosaic,
     numbered,
     numpy_file,
     plenopticam,
     several,
+    sheets,
     stanford,
     tiff_stack,
-    tiles,
     video,
 )
 from lfgpu.io.arrays import check_axes
+from lfgpu.io.brightness import with_white, without_black_corners
 from lfgpu.io.contradictions import contradictions
+from lfgpu.io.damage import check_fetched
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
-from lfgpu.io.git_lfs import check_fetched
-from lfgpu.io.inside import Inside
 from lfgpu.io.taken import check_unit, in_unit, told
-from lfgpu.io.white import with_white
 
 
 @dataclass(frozen=True)
@@ -161,15 +159,15 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="mosaic",
         description="an image of microlenses, a block of pixels each (ESLF)",
-        recognise=mosaic.recognise,
-        read=mosaic.read_mosaic,
+        recognise=sheets.recognise_mosaic,
+        read=sheets.read_mosaic,
         takes=("grid", "order"),
     ),
     Format(
         name="tiles",
         description="an image of all views side by side",
-        recognise=tiles.recognise,
-        read=tiles.read_tiles,
+        recognise=sheets.recognise_tiles,
+        read=sheets.read_tiles,
         takes=("grid", "order"),
     ),
     Format(

@@ -15,7 +15,7 @@ from PIL import Image
 from lfgpu.contract import Float32Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, atomic_write
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import how_to_install
 from lfgpu.io.png import write_png
 
 _FPS = 15.0

@@ -16,9 +16,9 @@ from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5
 from lfgpu.io.arrays import grid_field
+from lfgpu.io.damage import check_fetched
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
-from lfgpu.io.git_lfs import check_fetched
 from lfgpu.io.images import check_size, read_mask
 from lfgpu.io.numbered import read_numbered
 from lfgpu.io.parallax import runs_as_truth

@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.damage import read_as
-from lfgpu.io.extras import require
-from lfgpu.io.limits import check_claim
+from lfgpu.io.damage import check_claim, read_as, require
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 

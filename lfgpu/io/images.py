@@ -15,10 +15,8 @@ from PIL.TiffImagePlugin import TiffImageFile
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
-from lfgpu.io.damage import read_as
+from lfgpu.io.damage import check_claim, check_fetched, read_as
 from lfgpu.io.exr import read_picture
-from lfgpu.io.git_lfs import check_fetched
-from lfgpu.io.limits import check_claim
 from lfgpu.io.png import decode_fast
 from lfgpu.io.tiff_pages import check_pages
 

@@ -13,7 +13,7 @@ from lfgpu.data.summary import UNIT
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import how_to_install
 
 if TYPE_CHECKING:
     import xarray

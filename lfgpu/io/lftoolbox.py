@@ -14,9 +14,9 @@ from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5, matlab5
 from lfgpu.io.arrays import arranged, grid_field
+from lfgpu.io.brightness import lit
 from lfgpu.io.damage import read_as
 from lfgpu.io.folders import head
-from lfgpu.io.vignette import lit
 
 _MAGIC_5, _MAGIC_7 = b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file"
 _LEAST_WEIGHT = 0.25  # of the largest: what the white image says of pixels at the rim of the main lens

@@ -19,13 +19,22 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import exr, numpy_map, pfm, ply_map, png_map, tiff_map
+from lfgpu.io import exr, image_maps, numpy_map, pfm, ply
 from lfgpu.io.atomic import atomic_write
-from lfgpu.io.damage import read_as
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import check_fetched, how_to_install, read_as
 from lfgpu.io.folders import not_waited_for
-from lfgpu.io.git_lfs import check_fetched
-from lfgpu.io.names import DISPARITY_FILE, RESULT_FILE
+
+RESULT_FILE = "result.npz"
+"""Everything."""
+DISPARITY_FILE = "disparity.pfm"
+"""The disparity map by itself."""
+DEPTH_FILE = "depth.pfm"
+"""The metric depth by itself."""
+VIEWS_FILE = "disparities.npz"
+"""The maps of all views."""
+REPORT_FILE = "report.html"
+"""The page about a result, about a batch or about a comparison."""
+
 
 Whole: TypeAlias = DepthResult | ViewsResult
 OneMap: TypeAlias = DepthResult | DisparityMap
@@ -76,16 +85,16 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
         (".png",),
         "16 bits, with scale and offset as its text",
-        read=png_map.read,
-        write=png_map.write,
-        recognise=png_map.recognise,
+        read=image_maps.read_png,
+        write=image_maps.write_png,
+        recognise=image_maps.recognise_png,
     ),
     MapFormat(
         (".tif", ".tiff"),
         "float32, metadata as its description",
-        read=tiff_map.read,
-        write=tiff_map.write,
-        recognise=tiff_map.recognise,
+        read=image_maps.read_tiff,
+        write=image_maps.write_tiff,
+        recognise=image_maps.recognise_tiff,
     ),
     MapFormat(
         (".exr",),
@@ -98,8 +107,8 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
         (".ply",),
         "point cloud, coloured, in metres if the geometry is known",
-        read=ply_map.read,
-        write=ply_map.write,
+        read=ply.read_map,
+        write=ply.write_map,
     ),
     MapFormat((".npy",), "NumPy: the values", read=numpy_map.read_npy, recognise=numpy_map.recognise_npy),
 )

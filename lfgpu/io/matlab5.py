@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.limits import check_claim
+from lfgpu.io.damage import check_claim
 
 _HEADER = 128
 _MATRIX, _PACKED = 14, 15

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
-from lfgpu.io.damage import read_as
+from lfgpu.io.damage import check_claim, check_memory, read_as
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
-from lfgpu.io.limits import check_claim, check_memory
 
 _ALWAYS_FINE = 1 << 28  # bytes: so much any archive may take unpacked
 _PACKED = 50  # times smaller than the arrays in it is an archive of maps at most; ours are not packed at all

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image, ImageFile, _imaging
 
-from lfgpu.io.limits import check_claim
+from lfgpu.io.damage import check_claim
 
 FORMATS = ("PNG", "BMP", "DIB", "JPEG", "TIFF", "WEBP", "PPM")
 """Formats that a file may have, whatever its suffix says. Pillow knows more: EPS is a program that Ghostscript runs."""

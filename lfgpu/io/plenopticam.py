@@ -9,9 +9,9 @@ from pathlib import Path
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import without_dark_views
+from lfgpu.io.brightness import lit
 from lfgpu.io.folders import sub_folders
 from lfgpu.io.numbered import read_numbered
-from lfgpu.io.vignette import lit
 
 _FOLDER = re.compile(r"viewpoints_([0-9]{1,3})(?:px|x[0-9]{1,3})?")
 

@@ -1,12 +1,21 @@
-"""One picture that holds many views: whether it shows them side by side, or a pixel of each under every microlens."""
+"""One picture that holds all views: side by side, or a pixel of each view under every microlens (ESLF)."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.reading import Reading
+from lfgpu.errors import LightFieldError
+from lfgpu.io.arrays import ASK_FOR_GRID, grid_field
+from lfgpu.io.brightness import lit
+from lfgpu.io.folders import IMAGE_SUFFIXES
+from lfgpu.io.images import read_image, read_view
 from lfgpu.io.parallax import SMALLEST, shrunk
 
 _MOST = 32  # views along a side that are looked for
@@ -92,3 +101,113 @@ def _period(profile: NDArray[np.float32]) -> int | None:
             explained[period] = 1 - (1 - share) * len(cycles) / (len(cycles) - 1)  # of few cycles more is chance
     best = max(explained.values(), default=0.0)
     return None if best < _EXPLAINED else next(p for p, share in explained.items() if share >= _NEARLY * best)
+
+
+def recognise_tiles(path: Path) -> str | None:
+    """Say why a path is taken for a picture of views side by side; None if it is not."""
+    if path.suffix.lower() not in IMAGE_SUFFIXES or "tiles" not in path.stem.lower() or not path.is_file():
+        return None
+    return "it is an image with tiles in its name"
+
+
+def read_tiles(path: Path, *, grid: tuple[int, int] | None = None) -> LightField:
+    """Read an image of rows x columns views side by side, from the top left.
+
+    `grid` is (rows, columns); None finds them: neighbouring views look alike.
+    """
+    image, valid, _ = read_view(path)
+    why = "views side by side in one picture"
+    if grid is None:
+        grid = tiles_in(image)
+        if grid is None:
+            raise LightFieldError(f"{path} shows no views side by side that look alike; {ASK_FOR_GRID}.")
+        why += f", {grid[0]} x {grid[1]} (rows x columns) of which look alike"
+    elif tiles_in(image) is None and block_in(image) != (None, None):
+        raise LightFieldError(
+            f"{path} shows no views side by side, but pixels of all views under each microlens: read it with --format "
+            "mosaic (format= in Python)."
+        )
+    rows, columns = grid
+    if image.shape[0] % rows or image.shape[1] % columns:
+        raise LightFieldError(
+            f"{path} has {image.shape[1]} x {image.shape[0]} pixels, which a grid of {rows} x {columns} views does not "
+            "fill; give another grid."
+        )
+    mask = None if valid is None or valid.all() else _cut(valid[..., None], rows, columns)[..., 0]
+    return grid_field(path, _cut(image, rows, columns), valid=mask, reading=Reading(why))
+
+
+def _cut(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
+    """Cut a picture [y, x, c] into views [v, u, y, x, c]."""
+    height, width = image.shape[0] // rows, image.shape[1] // columns
+    return np.ascontiguousarray(image.reshape(rows, height, columns, width, image.shape[2]).transpose(0, 2, 1, 3, 4))
+
+
+_STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png
+
+
+def recognise_mosaic(path: Path) -> str | None:
+    """Say why a path is taken for a mosaic of microlenses; None if it is not."""
+    if path.suffix.lower() not in IMAGE_SUFFIXES or "eslf" not in path.stem.lower() or not path.is_file():
+        return None
+    return "it is an image with ESLF in its name"
+
+
+def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightField:
+    """Read an image in which pixel (v, u) of block (y, x) is pixel (y, x) of view (v, u).
+
+    Such are ESLF files of the Stanford Lytro archive and exports of Lytro's software, grey or colour. Views in the
+    corners of the blocks are dark where the main lens vignettes: those pixels are marked as not valid, and views that
+    are all dark are left out.
+
+    `grid` is (rows, columns) of a block; None takes 14 x 14 for files named ESLF that this divides, and looks for the
+    block in the picture otherwise.
+    """
+    image, _ = read_image(path)
+    notes = []
+    rows, columns = block_in(image)
+    if grid is not None:
+        if (rows or grid[0], columns or grid[1]) != tuple(grid):
+            notes.append(
+                f"By its pixels, blocks of {rows or grid[0]} x {columns or grid[1]} repeat in the picture, not the "
+                f"{grid[0]} x {grid[1]} of the grid."
+            )
+    elif recognise_mosaic(path) and _divides(_STANFORD, image):
+        grid = _STANFORD
+    else:
+        grid = None if rows is None or columns is None else (rows, columns)
+        if grid is None and (side_by_side := tiles_in(image)) is not None:
+            raise LightFieldError(_side_by_side(path, side_by_side))
+        if grid is None:
+            raise LightFieldError(
+                f"{path} does not look like a mosaic of views: no block of pixels repeats in it; if it is one, say how "
+                "many views it has: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line."
+            )
+        notes.append(f"Each microlens is taken for a block of {grid[0]} x {grid[1]} pixels (rows x columns).")
+    if (side_by_side := tiles_in(image, factor=max(grid))) is not None:
+        raise LightFieldError(_side_by_side(path, side_by_side))
+    rows, columns = grid
+    height, width = image.shape[0] // rows if rows > 0 else 0, image.shape[1] // columns if columns > 0 else 0
+    if height < 2 or width < 2:
+        raise LightFieldError(
+            f"{path} has {image.shape[1]} x {image.shape[0]} pixels; they do not hold {rows} x {columns} views."
+        )
+    if not _divides(grid, image):
+        notes.append("Pixels at the right and the bottom that do not fill a block were left out.")
+    blocks = image[: height * rows, : width * columns].reshape(height, rows, width, columns, image.shape[2])
+    views = np.ascontiguousarray(blocks.transpose(1, 3, 0, 2, 4))
+    light_field = grid_field(path, views)
+    return replace(
+        grid_field(path, views, valid=lit(light_field).reshape(views.shape[:4]), notes=notes), reference=None
+    )
+
+
+def _side_by_side(path: Path, shape: tuple[int, int]) -> str:
+    return (
+        f"{path} shows views side by side, not pixels of all views under each microlens: read it with --format tiles "
+        f"--grid {shape[0]}x{shape[1]} (format= and grid= in Python)."
+    )
+
+
+def _divides(grid: tuple[int, int], image: NDArray[Any]) -> bool:
+    return image.shape[0] % grid[0] == 0 and image.shape[1] % grid[1] == 0

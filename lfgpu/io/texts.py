@@ -1,4 +1,4 @@
-"""Texts in files (descriptions, parameters, attributes), which are small."""
+"""Texts in files (descriptions, parameters, attributes), which are small, and JSON objects whose members have types."""
 
 from __future__ import annotations
 
@@ -58,3 +58,87 @@ def read_json_or_toml(path: Path, *, largest: int = _LARGEST) -> Any:
         raise
     except (ValueError, RecursionError) as error:
         raise LightFieldError(f"{path} is not valid {kind}: {reason_of(error)}.") from error
+
+
+_MOST = 10_000  # entries of a list
+
+
+class Members:
+    """The members of a JSON object in a file.
+
+    Parameters
+    ----------
+    path
+        The file, for sentences.
+    values
+        The object.
+    name
+        Where in the metadata it stands: "image.color"; "" for the whole.
+    """
+
+    def __init__(self, path: Path, values: dict[str, Any], name: str = "") -> None:
+        self._path, self.values, self._name = path, values, name
+
+    def object(self, key: str) -> Members:
+        """Return a member that is an object itself."""
+        return Members(self._path, self._member(key, dict, "an object"), self._full(key))
+
+    def objects(self, key: str) -> list[Members]:
+        """Return a member that is a list of objects."""
+        entries = self._member(key, list, "a list")
+        if len(entries) > _MOST or not all(isinstance(entry, dict) for entry in entries):
+            raise LightFieldError(f"{self._path} is damaged: its metadata has no list of objects as {self._full(key)}.")
+        return [Members(self._path, entry, f"{self._full(key)}[{i}]") for i, entry in enumerate(entries)]
+
+    def text(self, key: str) -> str:
+        """Return a member that is a text."""
+        return str(self._member(key, str, "a text"))
+
+    def number(self, key: str, lowest: float, highest: float) -> float:
+        """Return a member that is a number within bounds."""
+        value = self._member(key, (int, float), "a number")
+        if isinstance(value, bool) or not lowest <= value <= highest:
+            raise LightFieldError(
+                f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}, "
+                f"not a number from {lowest:g} to {highest:g}."
+            )
+        return float(value)
+
+    def integer(self, key: str, lowest: int, highest: int) -> int:
+        """Return a member that is a whole number within bounds."""
+        value = self.number(key, lowest, highest)
+        if not value.is_integer():
+            raise LightFieldError(f"{self._path} is damaged: its metadata has {self._full(key)} = {value!r}.")
+        return int(value)
+
+    def find(self, *keys: str) -> Any:
+        """Return what stands at a path of keys, of any type; None if one of them is missing."""
+        value: Any = self.values
+        for key in keys:
+            value = value.get(key) if isinstance(value, dict) else None
+        return value
+
+    def find_number(self, *keys: str) -> float | None:
+        """Return a finite number at a path of keys; None if there is none."""
+        value = self.find(*keys)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not abs(value) < 1e300:
+            return None
+        return float(value)
+
+    def find_text(self, *keys: str) -> str | None:
+        """Return a short text at a path of keys, on one line; None if there is none."""
+        value = self.find(*keys)
+        return " ".join(value.split())[:80] or None if isinstance(value, str) else None
+
+    def _member(self, key: str, kind: type | tuple[type, ...], wanted: str) -> Any:
+        value = self.values.get(key)
+        if not isinstance(value, kind):
+            found = "nothing" if key not in self.values else f"a JSON {type(value).__name__}"
+            raise LightFieldError(
+                f"{self._path} is damaged or of an unknown kind: its metadata has {found} for {self._full(key)}, "
+                f"where {wanted} should be."
+            )
+        return value
+
+    def _full(self, key: str) -> str:
+        return f"{self._name}.{key}" if self._name else key

@@ -16,9 +16,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
-from lfgpu.io.damage import read_as
-from lfgpu.io.extras import require
-from lfgpu.io.limits import check_claim
+from lfgpu.io.damage import check_claim, read_as, require
 from lfgpu.io.tiff_pages import check_pages, pages
 
 _PLANES = 3  # pages of a view, if each is a colour

@@ -1,18 +1,65 @@
-"""A video of a camera that moves along a rail: its frames are the views of a row (extra `video`)."""
+"""Videos, decoded by ffmpeg in a process of its own, and those of a camera that moves along a rail (extra `video`)."""
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import ffmpeg
 from lfgpu.io.arrays import field_of, grid_shape, positions
+from lfgpu.io.damage import check_memory, require
 from lfgpu.io.folders import head
-from lfgpu.io.limits import check_memory
+
+_CONTAINERS = "matroska,webm,mov,mp4,avi"  # MKV and WebM; MP4 and MOV; AVI
+
+
+def check_available(path: Path) -> Any:
+    """Import imageio_ffmpeg; LightFieldError that names `path` and how to install it if it is missing."""
+    return require("imageio_ffmpeg", "video", path)
+
+
+def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) -> Generator[NDArray[np.uint8]]:
+    """Yield the frames of a video one after the other, each uint8 [y, x, 3].
+
+    Parameters
+    ----------
+    file
+        The video.
+    name
+        What sentences call it; None is `file`.
+    demuxer
+        ffmpeg's name of the container, "h264" for a bare stream; None lets ffmpeg find out.
+
+    Raises
+    ------
+    LightFieldError
+        If imageio-ffmpeg is missing, or the file is no video or damaged.
+    """
+    path = name or file
+    ffmpeg = check_available(path)
+    # Nothing but files, and no playlists: what is in the file must not reach out to others.
+    inputs = ["-protocol_whitelist", "file", "-format_whitelist", demuxer or _CONTAINERS]
+    inputs += ["-f", demuxer] if demuxer else []
+    reader = ffmpeg.read_frames(str(file.resolve()), input_params=inputs, output_params=["-fps_mode", "passthrough"])
+    try:
+        width, height = next(reader)["size"]
+        for data in reader:
+            yield np.frombuffer(data, np.uint8).reshape(height, width, 3)
+    except LightFieldError:
+        raise
+    except Exception as error:  # what ffmpeg writes on damaged files is long: the last line says why
+        reason = str(error).strip().splitlines()[-1:] or [type(error).__name__]
+        raise LightFieldError(
+            f"{path} cannot be read as a video: {' '.join(reason[0].split()).rstrip('.')}."
+        ) from error
+    finally:
+        reader.close()
+
 
 _ADVICE = "take one frame of several with every=10 (--every 10 on the command line)"
 
@@ -50,17 +97,17 @@ def read_video(
     """
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a video file that can be read; known are MP4, MOV, MKV, WebM and AVI.")
-    frames = _taken(path, every or 1)
-    if len(frames) < 2:
-        raise LightFieldError(f"{path} has {len(frames)} frames to take; depth needs at least two views of the scene.")
-    shape = (1, len(frames)) if grid is None else grid_shape(path, len(frames), grid)
+    taken = _taken(path, every or 1)
+    if len(taken) < 2:
+        raise LightFieldError(f"{path} has {len(taken)} frames to take; depth needs at least two views of the scene.")
+    shape = (1, len(taken)) if grid is None else grid_shape(path, len(taken), grid)
     note = f"Frames are taken for a camera that moves {'down' if shape[1] == 1 else 'to the right'} in equal steps."
-    return field_of(path, np.stack(frames), positions(shape), grid_shape=shape, notes=(note,))
+    return field_of(path, np.stack(taken), positions(shape), grid_shape=shape, notes=(note,))
 
 
 def _taken(path: Path, every: int) -> list[NDArray[np.uint8]]:
     taken: list[NDArray[np.uint8]] = []
-    for index, frame in enumerate(ffmpeg.frames(path)):
+    for index, frame in enumerate(frames(path)):
         if index % every == 0:
             check_memory(path, 2 * (len(taken) + 1) * frame.nbytes, advice=_ADVICE)  # twice: they are stacked
             taken.append(frame)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Sequence
 from itertools import count
@@ -11,8 +12,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import Collected
+from lfgpu.io.folders import image_files
 from lfgpu.io.images import read_view
 from lfgpu.io.reporting import listener
 from lfgpu.threads import in_threads
@@ -100,3 +103,24 @@ def mask_notes(valid: NDArray[np.bool_] | None, *, hidden: bool) -> tuple[str, .
 def _kind(image: NDArray[Any]) -> str:
     height, width, channels = image.shape
     return f"{width} x {height} {'grey' if channels == 1 else 'RGB'} {image.dtype}"
+
+
+def load_pictures(folder: str | os.PathLike[str]) -> LightField:
+    """Load the pictures of a folder, or of its folder `images`, as views at positions that mean nothing yet.
+
+    LightFieldError if there are fewer than two, or they are not alike.
+
+    Examples
+    --------
+    >>> lfgpu.calibration.load_pictures("rig").views.shape
+    (25, 64, 80, 3)
+    """
+    path = Path(folder)
+    if not path.is_dir():
+        raise LightFieldError(f"{path} is not a folder with pictures.")
+    files = image_files(path) or (image_files(path / "images") if (path / "images").is_dir() else [])
+    if len(files) < 2:
+        raise LightFieldError(f"{path} holds {len(files)} pictures; at least two are needed.")
+    views, valid, notes = load_views(files)
+    where = np.stack([np.arange(len(files)), np.zeros(len(files))], axis=1).astype(np.float64)
+    return LightField(views, where, valid=valid, name=path.resolve().name, notes=notes, files=tuple(map(str, files)))

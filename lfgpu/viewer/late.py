@@ -17,7 +17,7 @@ _MODULES = (
     f"lfgpu.kernels.{DEFAULT}",
     "lfgpu.pipelines.estimate",
     "lfgpu.calibration",  # an estimate looks at the cameras
-    "lfgpu.io.pictures",
+    "lfgpu.io.views",
     "lfgpu.viewer.space",
     "viser",
     "trimesh",

@@ -23,7 +23,7 @@ def check_installed() -> None:
     """Raise LightFieldError if what the viewer needs is not installed."""
     missing = [name for name in ("tornado", "viser") if importlib.util.find_spec(name) is None]
     if missing:
-        from lfgpu.io.extras import how_to_install
+        from lfgpu.io.damage import how_to_install
 
         raise LightFieldError(f"the viewer needs {' and '.join(missing)}; {how_to_install('viewer')}.")
 

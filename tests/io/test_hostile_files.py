@@ -19,7 +19,7 @@ from samples import picture, refusal, save, save_hci
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import ffmpeg, load, read, read_map, read_result
+from lfgpu.io import load, read, read_map, read_result, video
 from lfgpu.io.frames import write_frames
 from lfgpu.printable import printable
 
@@ -139,8 +139,8 @@ def test_playlists_do_not_reach_other_videos(tmp_path: Path, rng: np.random.Gene
     pytest.importorskip("imageio_ffmpeg")
     write_frames(rng.random((3, 32, 48, 3), np.float32), tmp_path / "a.mp4")
     (tmp_path / "list.mp4").write_text("ffconcat version 1.0\nfile a.mp4\n")
-    assert len(list(ffmpeg.frames(tmp_path / "a.mp4"))) == 3
-    assert "cannot be read as a video" in refusal(lambda: list(ffmpeg.frames(tmp_path / "list.mp4")))
+    assert len(list(video.frames(tmp_path / "a.mp4"))) == 3
+    assert "cannot be read as a video" in refusal(lambda: list(video.frames(tmp_path / "list.mp4")))
 
 
 # --- sizes ---

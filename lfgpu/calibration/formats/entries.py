@@ -14,7 +14,7 @@ import numpy as np
 from lfgpu.calibration.cameras import Camera, turned
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import how_to_install
 from lfgpu.io.texts import read_text
 from lfgpu.printable import printable
 

@@ -17,7 +17,7 @@ from lfgpu.io.lenslet.vignetting import Float32Array
 from lfgpu.io.lytro.camera import Camera
 from lfgpu.io.lytro.container import is_container, is_sound
 from lfgpu.io.lytro.contents import Contents, read_contents
-from lfgpu.io.members import Members
+from lfgpu.io.texts import Members
 
 _SIDES = (8, 32768)  # pixels that a container may claim
 _LEVELS = (0.1, 99.9)  # percentiles

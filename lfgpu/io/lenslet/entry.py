@@ -6,10 +6,10 @@ import os
 from pathlib import Path
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
 from lfgpu.io import lytro, pillow
 from lfgpu.io.images import read_image
-from lfgpu.io.inside import Inside
 from lfgpu.io.lenslet import capture
 from lfgpu.io.lenslet.kept import kept
 from lfgpu.io.lytro.container import is_container

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from lfgpu.io.members import Members
+from lfgpu.io.texts import Members
 
 _PITCHES = (5.0, 60.0)  # pixels between microlenses
 _MOST_ROTATION = math.radians(10)

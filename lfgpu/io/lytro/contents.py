@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io.lytro.camera import Camera
 from lfgpu.io.lytro.container import Container, open_container
-from lfgpu.io.members import Members
+from lfgpu.io.texts import Members
 
 _SIDES = (8, 16384)  # pixels of a picture or table
 _LAMBDAS = (-1000.0, 1000.0)

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import ffmpeg, pillow
-from lfgpu.io.limits import check_claim
+from lfgpu.io import pillow, video
+from lfgpu.io.damage import check_claim
 from lfgpu.io.lytro.container import Container
 from lfgpu.io.lytro.contents import DepthTable, Pictures, across
 
@@ -71,12 +71,12 @@ def _still(container: Container, name: str, pictures: Pictures) -> NDArray[np.ui
 
 
 def _video(container: Container, pictures: Pictures) -> Iterator[NDArray[np.uint8]]:
-    ffmpeg.check_available(container.path)
+    video.check_available(container.path)
     count = 0
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "pictures.h264"
         file.write_bytes(container.data(pictures.sections[0]))
-        for frame in ffmpeg.frames(file, name=container.path, demuxer="h264"):
+        for frame in video.frames(file, name=container.path, demuxer="h264"):
             if frame.shape[:2] != pictures.size:
                 raise LightFieldError(
                     f"{container.path} is damaged: a picture in it is {across(frame.shape[:2])} px, where it says "

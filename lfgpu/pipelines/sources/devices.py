@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.extras import how_to_install
+from lfgpu.io.damage import how_to_install
 from lfgpu.pipelines.sources.base import Frames, Options, light_field
 
 PREFIX = "opencv:"

@@ -101,7 +101,7 @@ def _ordered(path: Path) -> list[Path]:
 
 
 def _read(folder: Path, rectifier: Rectifier | None) -> LightField:
-    from lfgpu.io.pictures import load_pictures
+    from lfgpu.io.views import load_pictures
 
     if rectifier is None or (folder / VIEWS_FILE).is_file():  # recorded frames say themselves which cameras are there
         return read(folder)

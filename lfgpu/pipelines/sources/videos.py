@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import ffmpeg, video
+from lfgpu.io import video
 from lfgpu.io.folders import entries, natural_order
 from lfgpu.pipelines.sources.base import Frames, Options, light_field
 
@@ -34,7 +34,7 @@ def tiled_frames(source: str, options: Options) -> Frames:
             "with one video for each camera."
         )
     rows, columns = options.grid
-    for index, picture in enumerate(ffmpeg.frames(Path(source))):
+    for index, picture in enumerate(video.frames(Path(source))):
         height, width = picture.shape[0] // rows, picture.shape[1] // columns
         if (height * rows, width * columns) != picture.shape[:2] or min(height, width) < 2:
             raise LightFieldError(
@@ -49,7 +49,7 @@ def frames_of_cameras(source: str, options: Options) -> Frames:
     """Yield the frames of one video for each camera, in the order of their names, until the shortest ends."""
     paths = _videos(Path(source))
     with ExitStack() as opened:
-        films = [opened.enter_context(closing(ffmpeg.frames(path))) for path in paths]
+        films = [opened.enter_context(closing(video.frames(path))) for path in paths]
         for index, pictures in enumerate(zip(*films, strict=False)):
             for path, picture in zip(paths, pictures, strict=True):
                 if picture.shape != pictures[0].shape:
