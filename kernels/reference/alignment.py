@@ -38,7 +38,7 @@ def largest_around(values: Array, radius: int) -> Array:
 
 
 class ZBuffer:
-    def __init__(self, offsets: Array, reach: int) -> None:
+    def __init__(self, shape: Sequence[int], offsets: Array, *, reach: int) -> None:
         self._offsets, self._reach = offsets, reach
 
     def __call__(self, disparity: Array, nearest_out: Array) -> None:
@@ -52,8 +52,7 @@ class ZBuffer:
             nearest[:] = np.where(near > NOWHERE, near, largest_around(front, self._reach + 1))
 
 
-def z_buffer(shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:
-    return ZBuffer(offsets, reach)
+z_buffer = ZBuffer
 
 
 def differences(values: Array) -> tuple[Array, Array]:
@@ -75,7 +74,15 @@ def mean_of(own: Array, of_views: Sequence[Array], weights: Sequence[Array]) -> 
 
 class Alignment:
     def __init__(
-        self, offsets: Array, scale: float, gradient_weight: float, contrast: float, robust: float, tolerance: float
+        self,
+        shape: Sequence[int],
+        offsets: Array,
+        *,
+        scale: float,
+        gradient_weight: float,
+        contrast: float,
+        robust: float,
+        tolerance: float,
     ) -> None:
         self._offsets, self._scale, self._gradient_weight, self._contrast = offsets, scale, gradient_weight, contrast
         self._robust, self._tolerance = robust, tolerance
@@ -134,6 +141,9 @@ class Alignment:
         return visible, self._weighted(found), self._weighted(across), self._weighted(down)
 
 
+alignment = Alignment
+
+
 def bilinear(values: Array, x: Array, y: Array) -> Array:
     """Values [p, c] of [y + 6, x + 6, c] at columns x and rows y [p] of what they continue."""
     left, top = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)
@@ -142,16 +152,3 @@ def bilinear(values: Array, x: Array, y: Array) -> Array:
     above = (1 - across) * values[top, left] + across * values[top, left + 1]
     below = (1 - across) * values[top + 1, left] + across * values[top + 1, left + 1]
     return np.asarray((1 - down) * above + down * below)
-
-
-def alignment(
-    shape: Sequence[int],
-    offsets: Array,
-    *,
-    scale: float,
-    gradient_weight: float,
-    contrast: float,
-    robust: float,
-    tolerance: float,
-) -> Alignment:
-    return Alignment(offsets, scale, gradient_weight, contrast, robust, tolerance)

@@ -13,7 +13,15 @@ Array = NDArray[np.float64]
 class Convolution:
     """The convolution with its weights [l, y, x, c_in, c_out]."""
 
-    def __init__(self, weights: Float32Array, bias: Float32Array, strides: tuple[int, ...], rectified: bool) -> None:
+    def __init__(
+        self,
+        weights: Float32Array,
+        bias: Float32Array,
+        device: str,
+        *,
+        strides: tuple[int, int, int] = (1, 1, 1),
+        rectified: bool = False,
+    ) -> None:
         self._weights, self._bias = weights.astype(np.float64), bias.astype(np.float64)
         self._strides, self._rectified = strides, rectified
 
@@ -37,12 +45,4 @@ class Convolution:
             yield self._weights[tap], padded[tuple(slice(k, k + length, stride) for k, length, stride in lengths)]
 
 
-def convolution(
-    weights: Float32Array,
-    bias: Float32Array,
-    device: str,
-    *,
-    strides: tuple[int, int, int] = (1, 1, 1),
-    rectified: bool = False,
-) -> Convolution:
-    return Convolution(weights, bias, strides, rectified)
+convolution = Convolution

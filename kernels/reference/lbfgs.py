@@ -57,6 +57,7 @@ class Lbfgs:
     def __init__(
         self,
         shape: Sequence[int],
+        device: str,
         *,
         memory: int,
         low: float,
@@ -144,25 +145,4 @@ class Lbfgs:
         return len(last) == self._patience + 1 and last[0] - last[-1] <= enough
 
 
-def lbfgs(
-    shape: Sequence[int],
-    device: str,
-    *,
-    memory: int,
-    low: float,
-    high: float,
-    first_step: float,
-    tolerance: float,
-    patience: int,
-    most: int,
-) -> Lbfgs:
-    return Lbfgs(
-        shape,
-        memory=memory,
-        low=low,
-        high=high,
-        first_step=first_step,
-        tolerance=tolerance,
-        patience=patience,
-        most=most,
-    )
+lbfgs = Lbfgs

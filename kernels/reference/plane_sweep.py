@@ -73,7 +73,7 @@ def most(cost: SweepCost) -> float:
 class PlaneSweep:
     """The sweep over views of one light field."""
 
-    def __init__(self, views: ViewSets, disparities: Disparities, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
         offsets = views.offsets
         self._view_sets = views.members != 0
         self._disparities = disparities.first + disparities.step * np.arange(disparities.count)
@@ -123,5 +123,4 @@ class PlaneSweep:
             yield Compared(int(n), robust / (1 + cost.gradient_weight), inside, (nearest[0], nearest[1]))
 
 
-def plane_sweep(shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> PlaneSweep:
-    return PlaneSweep(views, disparities, scale)
+plane_sweep = PlaneSweep

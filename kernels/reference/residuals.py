@@ -11,7 +11,7 @@ Array = NDArray[np.float64]
 class Residuals:
     """The relative residuals so far."""
 
-    def __init__(self, tolerance: float, most: int) -> None:
+    def __init__(self, device: str, *, tolerance: float, most: int) -> None:
         self.go_on: Array = np.zeros(1)
         self._tolerance, self._most = tolerance, most
         self._norm = 1.0
@@ -29,5 +29,4 @@ class Residuals:
         return list(self._trace)
 
 
-def residuals(device: str, *, tolerance: float, most: int) -> Residuals:
-    return Residuals(tolerance, most)
+residuals = Residuals

@@ -25,7 +25,7 @@ def growth(difference: Array) -> Array:
 class SectorCosts:
     """The costs of views of one light field."""
 
-    def __init__(self, offsets: Array, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], offsets: Array, *, scale: float) -> None:
         self._offsets, self._sectors, self._scale = offsets.copy(), sectors_of(offsets), scale
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -73,8 +73,7 @@ class SectorCosts:
         return upper + b * (lower - upper), inside
 
 
-def sector_costs(shape: Sequence[int], offsets: Array, *, scale: float) -> SectorCosts:
-    return SectorCosts(offsets, scale)
+sector_costs = SectorCosts
 
 
 def brightness(image: Array, *, factor_out: Array) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import GRADIENT_REACH, Alignment, ZBuffer
+from lfgpu.contract import GRADIENT_REACH, ZBuffer
 
 from .edges import weigh_edges
 from .landing import land, within
@@ -361,6 +361,7 @@ class _Alignment:
         self,
         shape: Sequence[int],
         offsets: DeviceArray,
+        *,
         scale: float,
         gradient_weight: float,
         contrast: float,
@@ -393,14 +394,4 @@ class _Alignment:
         run(self._kernels.align, *views, *self._compared, *maps, curvature_out.values, slope_out.values)
 
 
-def alignment(
-    shape: Sequence[int],
-    offsets: DeviceArray,
-    *,
-    scale: float,
-    gradient_weight: float,
-    contrast: float,
-    robust: float,
-    tolerance: float,
-) -> Alignment:
-    return _Alignment(shape, offsets, scale, gradient_weight, contrast, robust, tolerance)
+alignment = _Alignment

@@ -5,7 +5,7 @@ from typing import Any
 
 import taichi as ti
 
-from lfgpu.contract import Convolution, Float32Array
+from lfgpu.contract import Float32Array
 
 from .memory import DeviceArray, field, flat
 from .runtime import once, run
@@ -79,9 +79,17 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool, together: int
 class _Convolution:
     """The weights on the device."""
 
-    def __init__(self, weights: Float32Array, bias: Float32Array, device: str, options: tuple[Any, bool]) -> None:
+    def __init__(
+        self,
+        weights: Float32Array,
+        bias: Float32Array,
+        device: str,
+        *,
+        strides: tuple[int, int, int] = (1, 1, 1),
+        rectified: bool = False,
+    ) -> None:
         self._weights, self._bias = field(weights, device), field(bias, device)
-        self._strides, self._rectified = options
+        self._strides, self._rectified = strides, rectified
 
     def __call__(self, volume: DeviceArray, added: DeviceArray | None, volume_out: DeviceArray, *, at: int = 0) -> None:
         window, (inputs, outputs) = self._weights.shape[:3], self._weights.shape[3:]
@@ -94,12 +102,4 @@ class _Convolution:
         run(convolve, *arrays, *sizes, at, volume_out.values)
 
 
-def convolution(
-    weights: Float32Array,
-    bias: Float32Array,
-    device: str,
-    *,
-    strides: tuple[int, int, int] = (1, 1, 1),
-    rectified: bool = False,
-) -> Convolution:
-    return _Convolution(weights, bias, device, (strides, rectified))
+convolution = _Convolution

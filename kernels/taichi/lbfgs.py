@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import Lbfgs
-
 from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
 from .runtime import TASK, double, on_cpu, once, run, start
 from .sums import Total, share
@@ -340,16 +338,19 @@ class _Lbfgs:
         self,
         shape: Sequence[int],
         device: str,
+        *,
         memory: int,
-        bounds: tuple[float, float],
+        low: float,
+        high: float,
         first_step: float,
-        flatness: tuple[int, float],
+        tolerance: float,
+        patience: int,
         most: int,
     ) -> None:
         start(device)
         self._slots, size = memory + 1, prod(shape)
         rows = 2 * self._slots + 1
-        self._bounds, self._flatness, self._scale = bounds, flatness, (first_step, float(size))
+        self._bounds, self._flatness, self._scale = (low, high), (patience, tolerance), (first_step, float(size))
         self._stack, self._direction = clear(empty((rows, size))), clear(empty(shape))
         self._root = clear(empty(shape))
         self._parts = doubles(np.zeros((3 * rows, _CPU_PARTS if on_cpu() else _GPU_PARTS)))
@@ -400,16 +401,4 @@ class _Lbfgs:
         run(self._rows.combine, state, stack, self._coefficients.values, *at, self._direction.values)
 
 
-def lbfgs(
-    shape: Sequence[int],
-    device: str,
-    *,
-    memory: int,
-    low: float,
-    high: float,
-    first_step: float,
-    tolerance: float,
-    patience: int,
-    most: int,
-) -> Lbfgs:
-    return _Lbfgs(shape, device, memory, (low, high), first_step, (patience, tolerance), most)
+lbfgs = _Lbfgs

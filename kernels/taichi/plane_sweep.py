@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import Disparities, PlaneSweep, SweepCost, ViewSets, sweep_shifts
+from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
 from .memory import DeviceArray, empty, flat, numpy, optional, table
 from .runtime import on_cpu, once, run
@@ -364,7 +364,7 @@ def _least_kernel(
 class _PlaneSweep:
     """The shifts of the views, in the order of their view sets."""
 
-    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
         self._shape, self._scale = tuple(shape), scale
         self._preference, self._least = views.preference, float(views.least)
         places, belongs = numpy(views.offsets), numpy(views.members).T != 0
@@ -456,5 +456,4 @@ class _PlaneSweep:
             )
 
 
-def plane_sweep(shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> PlaneSweep:
-    return _PlaneSweep(shape, views, disparities, scale)
+plane_sweep = _PlaneSweep

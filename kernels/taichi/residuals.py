@@ -5,8 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import Residuals
-
 from .memory import DeviceArray, doubles, flat, numpy, scalar
 from .runtime import double, once, run
 
@@ -41,7 +39,7 @@ def _kernels() -> SimpleNamespace:
 
 
 class _Residuals:
-    def __init__(self, device: str, tolerance: float, most: int) -> None:
+    def __init__(self, device: str, *, tolerance: float, most: int) -> None:
         self.go_on, self._tolerance = scalar(1.0, device), tolerance
         self._state, self._trace = doubles(np.array([1.0, 0.0])), doubles(np.zeros(most + 1))
 
@@ -56,5 +54,4 @@ class _Residuals:
         return [float(value) for value in numpy(self._trace)[: int(numpy(self._state)[_LENGTH])]]
 
 
-def residuals(device: str, *, tolerance: float, most: int) -> Residuals:
-    return _Residuals(device, tolerance, most)
+residuals = _Residuals

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, SectorCosts, sectors_of
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
 
 from .memory import DeviceArray, flat, numpy, optional, table
 from .runtime import double, on_cpu, once, run
@@ -119,7 +119,7 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
 class _SectorCosts:
     """The views in the order of their sectors."""
 
-    def __init__(self, shape: Sequence[int], offsets: DeviceArray, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], offsets: DeviceArray, *, scale: float) -> None:
         self._shape, self._scale = tuple(shape), scale
         places = numpy(offsets)
         sectors = sectors_of(places)
@@ -141,8 +141,7 @@ class _SectorCosts:
         run(find, *arrays, first.values, factor.values, *numbers, costs_out.values)
 
 
-def sector_costs(shape: Sequence[int], offsets: DeviceArray, *, scale: float) -> SectorCosts:
-    return _SectorCosts(shape, offsets, scale)
+sector_costs = _SectorCosts
 
 
 @once

@@ -11,8 +11,6 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import DataTerm
-
 from .landing import inside, land, nearest, within
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, double, on_cpu, once, run
@@ -326,7 +324,7 @@ def splat(
 class _DataTerm:
     """Slices of the views, one view after the other, on a CPU; all of them at once on a GPU."""
 
-    def __init__(self, shape: Sequence[int], offsets: DeviceArray, scale: float, softness: float) -> None:
+    def __init__(self, shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> None:
         n, height, width, channels = shape
         self._cpu, self._channels = on_cpu(), channels
         self._slices = min(_SLICES, n) if self._cpu else 1
@@ -374,8 +372,7 @@ class _DataTerm:
         run(self._kernels.vjp, *seen, residuals, offsets, self._softness, *disparity.shape, gradient_out.values)
 
 
-def data_term(shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> DataTerm:
-    return _DataTerm(shape, offsets, scale, softness)
+data_term = _DataTerm
 
 
 @ti.kernel

@@ -10,8 +10,6 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import Normalization
-
 from .memory import DeviceArray, empty, field, flat, optional
 from .runtime import on_cpu, once, run, start
 
@@ -195,7 +193,7 @@ def _gaussian(sigma: float, device: str) -> DeviceArray:
 class _Normalization:
     """Some views at a time, so that what lies between two kernels stays in a cache."""
 
-    def __init__(self, shape: Sequence[int], device: str, scale: float, sigma: float, floor: float) -> None:
+    def __init__(self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float) -> None:
         start(device)
         self._n, self._height, self._width, self._channels = shape
         self._scale, self._sigma, self._floor = scale, sigma, floor
@@ -233,5 +231,4 @@ class _Normalization:
         run(self._gaussian, sums, weights.values, count, self._width, channels, values.values)
 
 
-def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float) -> Normalization:
-    return _Normalization(shape, device, scale, sigma, floor)
+normalization = _Normalization

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import GRADIENT_REACH, Alignment
+from lfgpu.contract import GRADIENT_REACH
 
 from .edges import weigh_edges
 from .memory import pixel_type
@@ -68,6 +68,7 @@ class _Alignment:
         self,
         shape: Sequence[int],
         offsets: Any,
+        *,
         scale: float,
         gradient_weight: float,
         contrast: float,
@@ -101,14 +102,4 @@ class _Alignment:
         launch_rows(self._kernels.align, inputs, curvature_out, slope_out)
 
 
-def alignment(
-    shape: Sequence[int],
-    offsets: Any,
-    *,
-    scale: float,
-    gradient_weight: float,
-    contrast: float,
-    robust: float,
-    tolerance: float,
-) -> Alignment:
-    return _Alignment(shape, offsets, scale, gradient_weight, contrast, robust, tolerance)
+alignment = _Alignment

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import Convolution, Float32Array
+from lfgpu.contract import Float32Array
 
 from .memory import pixel_type, start
 from .native_code import c_type, kernel
@@ -89,8 +89,15 @@ class _Convolution:
     """The weights in the order in which a device reads them."""
 
     def __init__(
-        self, weights: Float32Array, bias: Float32Array, device: str, strides: _Strides, rectified: bool
+        self,
+        weights: Float32Array,
+        bias: Float32Array,
+        device: str,
+        *,
+        strides: _Strides = (1, 1, 1),
+        rectified: bool = False,
     ) -> None:
+        start()
         self._shape, self._strides, self._rectified = weights.shape, strides, rectified
         self._device = wp.get_device(device)
         if self._device.is_cpu and _spread(weights.shape, strides) > 1:
@@ -136,8 +143,4 @@ class _Convolution:
         launch(convolve, blocks * threads, inputs, [out], device=self._device, block_dim=threads)
 
 
-def convolution(
-    weights: Float32Array, bias: Float32Array, device: str, *, strides: _Strides = (1, 1, 1), rectified: bool = False
-) -> Convolution:
-    start()
-    return _Convolution(weights, bias, device, strides, rectified)
+convolution = _Convolution

@@ -278,16 +278,19 @@ class _Lbfgs:
         self,
         shape: Any,
         device: str,
+        *,
         memory: int,
-        bounds: tuple[float, float],
+        low: float,
+        high: float,
         first_step: float,
-        flatness: tuple[int, float],
+        tolerance: float,
+        patience: int,
         most: int,
     ) -> None:
         slots = memory + 1  # one for the pair that is not kept yet
         rows = 2 * slots + 1
         self.go_on, self._device = scalar(1.0, device), wp.get_device(device)
-        self._bounds, self._first_step, self._flatness = bounds, first_step, flatness
+        self._bounds, self._first_step, self._flatness = (low, high), first_step, (patience, tolerance)
         self._stack = wp.zeros((rows, *shape), dtype=float, device=device)
         self._direction, self._root = (wp.zeros(tuple(shape), dtype=float, device=device) for _ in range(2))
         self._products = wp.zeros((rows, rows), dtype=wp.float64, device=device)
@@ -355,16 +358,4 @@ class _Lbfgs:
             gpu_lbfgs.combine(inputs, self._direction)
 
 
-def lbfgs(
-    shape: Any,
-    device: str,
-    *,
-    memory: int,
-    low: float,
-    high: float,
-    first_step: float,
-    tolerance: float,
-    patience: int,
-    most: int,
-) -> _Lbfgs:
-    return _Lbfgs(shape, device, memory, (low, high), first_step, (patience, tolerance), most)
+lbfgs = _Lbfgs

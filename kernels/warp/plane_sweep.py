@@ -13,7 +13,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from lfgpu.contract import Disparities, PlaneSweep, SweepCost, ViewSets, sweep_shifts
+from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
 from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
@@ -28,7 +28,7 @@ _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 class _PlaneSweep:
     """The shifts of the views, in the order of their view sets, and the views as the device reads them."""
 
-    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
         offsets: Any = views.offsets
         view_sets: Any = views.members
         self._shape, self._device, self._scale = tuple(shape), offsets.device, scale
@@ -140,5 +140,4 @@ class _PlaneSweep:
         launch(self._mark, self._marks.size, inputs, [self._marks.flatten()], device=self._device)
 
 
-def plane_sweep(shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> PlaneSweep:
-    return _PlaneSweep(shape, views, disparities, scale)
+plane_sweep = _PlaneSweep

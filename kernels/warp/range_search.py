@@ -10,7 +10,7 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
-from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
+from lfgpu.contract import UNSEEN, Details, Disparities, sweep_shifts
 
 from .memory import pixel_type, start
 from .native_code import kernel
@@ -83,11 +83,17 @@ class _SideCosts:
     def __init__(
         self,
         shape: Sequence[int],
-        shifts: NDArray[np.float64],
+        offsets: NDArray[Any],
         lines: Sequence[Sequence[Sequence[int]]],
         device: str,
+        *,
         reference: int,
+        first: float,
+        step: float,
+        count: int,
     ) -> None:
+        start()
+        shifts = sweep_shifts(offsets, Disparities(first, step, count))
         sides = [side for line in lines for side in line]
         views = np.concatenate([np.asarray(side, np.int64) for side in sides])
         self._reference, (_, self._height, self._width) = reference, shape
@@ -123,19 +129,7 @@ class _SideCosts:
         in_slices(place, self._count, some)
 
 
-def side_costs(
-    shape: Sequence[int],
-    offsets: NDArray[Any],
-    lines: Sequence[Sequence[Sequence[int]]],
-    device: str,
-    *,
-    reference: int,
-    first: float,
-    step: float,
-    count: int,
-) -> SideCosts:
-    start()
-    return _SideCosts(shape, sweep_shifts(offsets, Disparities(first, step, count)), lines, device, reference)
+side_costs = _SideCosts
 
 
 def distinct_minimum(volume: Any, *, apart: int, found_out: Any) -> None:

@@ -43,7 +43,7 @@ def _add_kernel(
 
 
 class _Residuals:
-    def __init__(self, device: str, tolerance: float, most: int) -> None:
+    def __init__(self, device: str, *, tolerance: float, most: int) -> None:
         self.go_on, self._norm, self._tolerance = scalar(1.0, device), scalar(1.0, device), tolerance
         self._length = wp.zeros(1, dtype=int, device=device)
         self._trace = wp.zeros(most + 1, dtype=wp.float64, device=device)
@@ -61,5 +61,4 @@ class _Residuals:
             return [float(value) for value in self._trace.numpy()[: self._length.numpy()[0]]]
 
 
-def residuals(device: str, *, tolerance: float, most: int) -> _Residuals:
-    return _Residuals(device, tolerance, most)
+residuals = _Residuals

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, SectorCosts, sectors_of
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
 
 from .cpu_plane_sweep import kept_type, loading_kernels
 from .gpu_plane_sweep import kept_type as gpu_kept_type
@@ -58,7 +58,7 @@ def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
 class _SectorCosts:
     """The views by sector, and as the device reads them."""
 
-    def __init__(self, shape: Sequence[int], offsets: Any, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], offsets: Any, *, scale: float) -> None:
         self._shape, self._device, self._scale = tuple(shape), offsets.device, scale
         places = offsets.numpy()
         sectors = sectors_of(places)
@@ -112,8 +112,7 @@ class _SectorCosts:
         in_slices(self._device, costs_out.shape[0] * costs_out.shape[1], some_rows)
 
 
-def sector_costs(shape: Sequence[int], offsets: Any, *, scale: float) -> SectorCosts:
-    return _SectorCosts(shape, offsets, scale)
+sector_costs = _SectorCosts
 
 
 @wp.kernel(module="lfgpu_brightness", enable_backward=False)
