@@ -24,7 +24,7 @@ FLOORS = (
     ("viz", "calibration"),
     ("pipelines",),
     ("io", "comparison", "cameras"),
-    ("methods", "scenes", "metrics", "region_metrics"),
+    ("methods", "scenes", "metrics"),
     ("data", "solvers", "kernels"),
     ("_backends",),
     ("contract", "config", "threads", "machine"),

@@ -262,7 +262,7 @@ FAULTS = (
     ),
     Fault(
         "holes filled with certainties that the noise does not scale",
-        "lfgpu/methods/matching/hole_filling.py",
+        "lfgpu/methods/matching/completion.py",
         "tuning.hole_filling.stiffness * tuning.alignment.robust**2",
         "tuning.hole_filling.stiffness * 1.0",
         ("tests/test_matching.py", "-k", "filled or outlines"),

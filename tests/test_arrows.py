@@ -52,7 +52,7 @@ def test_arrows_see_what_is_there() -> None:
     """The derivation follows relative imports, imports inside functions and those for type checkers."""
     found = arrows.arrows()
     assert "lfgpu.kernels.warp.vector" in found["lfgpu.kernels.warp.backend"]
-    assert "lfgpu.pipelines.estimate" in found["lfgpu.cli.estimation"]
+    assert "lfgpu.pipelines.estimate" in found["lfgpu.cli.options"]
     assert "lfgpu.methods.base" in found["lfgpu.methods"]
 
 

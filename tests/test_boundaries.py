@@ -7,7 +7,7 @@ import pytest
 
 from lfgpu._backends import open_device
 from lfgpu.methods.arena import Arena
-from lfgpu.methods.matching.boundaries import Boundaries
+from lfgpu.methods.matching.completion import Boundaries
 from lfgpu.methods.matching.config import MatchingConfig
 
 

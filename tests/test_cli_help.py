@@ -16,8 +16,7 @@ from lfgpu import list_backends, scenes
 from lfgpu.config import Config, Section, number, parameters
 from lfgpu.io import formats
 from lfgpu.io.formats import FORMATS, Format
-from lfgpu.methods import METHODS, PRESETS, preset
-from lfgpu.methods.entry import Entry
+from lfgpu.methods import METHODS, PRESETS, Entry, preset
 
 
 def python(*arguments: str) -> subprocess.CompletedProcess[str]:

@@ -14,7 +14,7 @@ from lfgpu.cli import app
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci, write_pfm
 from lfgpu.io.hci_submission import SCENES, read_region_masks, write_submission
-from lfgpu.region_metrics import evaluate_regions
+from lfgpu.metrics import evaluate_regions
 from lfgpu.scenes import make
 
 MAP = np.linspace(-1, 1, 512 * 512, dtype=np.float32).reshape(512, 512)

@@ -18,12 +18,12 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PRESETS, PresetName, method_of
-from lfgpu.methods.exposure import exposure_of
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.disparities import compared_disparities, view_sets
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
 from lfgpu.methods.matching.passes import ACCURATE, FAST, LEARNED, matching_sweeps, sweeps_of
 from lfgpu.methods.matching.views import are_around, compared_views, every_other_view, used_views
+from lfgpu.methods.measured import exposure_of
 from lfgpu.metrics import Metrics, evaluate, sparsification
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline

@@ -10,7 +10,21 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from .tent import tent, tent_slope
+
+def tent(a: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
+    """Λ(a) for a in [0, 1]; `softness` is ε in (0, 0.5]."""
+    s = 1.0 / (1.0 - softness)
+    line = 1.0 + s * (0.5 * softness - a)
+    top = 1.0 - s * a**2 / (2.0 * softness)
+    foot = s * (1.0 - a) ** 2 / (2.0 * softness)
+    return np.where(a <= softness, top, np.where(a >= 1.0 - softness, foot, line))
+
+
+def tent_slope(a: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
+    """Λ'(a) for a in [0, 1]."""
+    s = 1.0 / (1.0 - softness)
+    return -s * np.minimum(np.minimum(a, 1.0 - a) / softness, 1.0)
+
 
 Array = NDArray[np.float64]
 

@@ -1,4 +1,4 @@
-"""The differentiable tent Λ on the device; `kernels/reference/tent.py` says what it is."""
+"""The differentiable tent Λ on the device; `kernels/reference/splat.py` says what it is."""
 
 import taichi as ti
 

@@ -2,9 +2,31 @@
 
 from typing import Any
 
-from .lbfgs_state import LEAST_CURVATURE, State
+import warp as wp
+
 from .native_code import kernel
 from .threads import check_size, launch, once
+
+wp.set_module_options({"enable_backward": False})
+
+LEAST_CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
+
+
+@wp.struct
+class State:
+    """One number each."""
+
+    go_on: wp.array(dtype=wp.float64)
+    step: wp.array(dtype=wp.float64)
+    slope: wp.array(dtype=wp.float64)
+    accepted: wp.array(dtype=int)
+    rejections: wp.array(dtype=int)
+    judged: wp.array(dtype=int)
+    newest: wp.array(dtype=int)  # slot of the newest pair
+    pairs: wp.array(dtype=int)
+    length: wp.array(dtype=int)  # of the trace
+    flat: wp.array(dtype=int)
+
 
 PARTS = 128  # of each inner product
 MOST_ROWS = 32  # of which the recursion knows how to make a direction: a lane each

@@ -12,7 +12,7 @@ import warp as wp
 
 from . import gpu_lbfgs
 from .asking import asking
-from .lbfgs_state import LEAST_CURVATURE, State
+from .gpu_lbfgs import LEAST_CURVATURE, State
 from .memory import scalar
 from .native_code import kernel
 from .threads import in_slices, launch, launch_rows, load, once

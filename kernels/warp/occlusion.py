@@ -11,8 +11,7 @@ from typing import Any
 import warp as wp
 
 from .memory import pixel_type
-from .splat import as_offsets, land
-from .tent import foot
+from .splat import as_offsets, foot, land
 from .threads import in_slices, lanes, launch, load, once
 
 _LEAST_WEIGHT = wp.constant(1e-20)

@@ -1,4 +1,4 @@
-"""Work as a file that Warp's native libraries replay without Python (`lfgpu/contract/recording.py`)."""
+"""Work as a file that Warp's native libraries replay without Python (`lfgpu/contract/control.py`)."""
 
 import ctypes
 from collections.abc import Callable

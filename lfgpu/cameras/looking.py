@@ -17,8 +17,7 @@ from lfgpu.cameras.bundle import Bundle, most_points
 from lfgpu.cameras.findings import Cameras, axes, brightness, placement
 from lfgpu.cameras.points import Points, choose_points, textured
 from lfgpu.cameras.screening import worth_a_look
-from lfgpu.cameras.surface import grey, patches
-from lfgpu.cameras.sweep import LABELS, sweep
+from lfgpu.cameras.surface import LABELS, grey, patches, sweep
 from lfgpu.cameras.tones import match_tones
 from lfgpu.contract import Device, Float64Array
 from lfgpu.data.light_field_checks import array_of_numbers

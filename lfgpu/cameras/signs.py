@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.cameras.points import Points, known_pixels
-from lfgpu.cameras.surface import grey, patches
-from lfgpu.cameras.sweep import LABELS, sweep
+from lfgpu.cameras.surface import LABELS, grey, patches, sweep
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.cameras import Explanation
-    from lfgpu.cli.estimation import Estimation
+    from lfgpu.cli.options import Estimation
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap
 

@@ -99,7 +99,7 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
 
 def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> None:
     """Print the benchmark's measures of regions from top to bottom, maps from left to right."""
-    from lfgpu.region_metrics import REGION_METRICS
+    from lfgpu.metrics import REGION_METRICS
 
     table = _table()
     table.add_column("")

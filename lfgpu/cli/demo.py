@@ -28,7 +28,7 @@ def demo(
     """Make a synthetic light field, estimate its depth, compare it with the exact ground truth and draw an overview."""
     from lfgpu.cli import summary, values
     from lfgpu.cli.console import output
-    from lfgpu.cli.estimation import Estimation
+    from lfgpu.cli.options import Estimation
     from lfgpu.cli.outputs import write_outputs
     from lfgpu.io import atomic_folder, check_writable, write_hci
     from lfgpu.methods import preset

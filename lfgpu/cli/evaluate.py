@@ -104,7 +104,7 @@ def _score(result: Path, truth: Path, mask: Path | None, border: int | None) -> 
     from lfgpu.cli.summary import scored_where
     from lfgpu.io import read_mask
     from lfgpu.io.hci_submission import read_region_masks
-    from lfgpu.region_metrics import evaluate_regions
+    from lfgpu.metrics import evaluate_regions
 
     left_out = metrics.BORDER if border is None else border
     maps, estimate = _maps(result, truth)

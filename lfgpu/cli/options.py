@@ -1,4 +1,4 @@
-"""Options that several commands share, alone or in groups.
+"""Options that several commands share, alone or in groups, and the estimate that they ask for.
 
 A group is a dataclass whose fields are options. A command takes the group as one keyword. `with_groups` puts the
 options of the group in its place on the command line, and makes the dataclass of the values that were given.
@@ -15,13 +15,60 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 
 import typer
 
-from lfgpu._backends import DEFAULT, backend_named
+from lfgpu._backends import DEFAULT, BackendName, backend_named
 from lfgpu.cli import values
 
 if TYPE_CHECKING:
-    from lfgpu.cli.estimation import Estimation
     from lfgpu.config import Config
     from lfgpu.data.lightfield import LightField
+    from lfgpu.data.result import DepthResult
+    from lfgpu.data.views_result import ViewsResult
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """The options of an estimate, which are checked before anything is read or computed."""
+
+    config: Config
+    disparity_range: tuple[float, float] | None = None
+    backend: BackendName = DEFAULT
+    device: str | None = None
+    deterministic: bool = False
+    max_memory: str | None = None
+
+    def check_device(self) -> None:
+        """Raise BackendError if the backend or the device is missing."""
+        from lfgpu._backends import load, pick_device
+
+        pick_device(load(self.backend), self.device)
+
+    def prepare(self) -> None:
+        """Import what an estimate needs, and check the device."""
+        import lfgpu.pipelines.estimate  # noqa: F401
+
+        self.check_device()
+
+    def run(self, lf: LightField, *, quiet: bool, check_cameras: bool = True) -> DepthResult:
+        """Estimate the map of the reference view, with a progress display."""
+        from lfgpu.cli.console import progress
+        from lfgpu.pipelines.estimate import estimate_depth
+
+        with progress(self.config, quiet=quiet) as on_progress:
+            return estimate_depth(lf, on_progress=on_progress, check_cameras=check_cameras, **self._options)
+
+    def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
+        """Estimate the maps of all views, with a progress display."""
+        from lfgpu.cli.console import progress
+        from lfgpu.pipelines.all_views import estimate_all_views
+
+        with progress(self.config, quiet=quiet) as on_progress:
+            options = {name: value for name, value in self._options.items() if name != "max_memory"}
+            return estimate_all_views(lf, on_progress=on_progress, **options)
+
+    @property
+    def _options(self) -> dict[str, Any]:
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
 
 Source = Annotated[Path, typer.Argument(metavar="INPUT", help="Light field: usually a folder of views.")]
 
@@ -211,8 +258,6 @@ class Computing:
 
         LfgpuError if an option is wrong or, with `check`, if the backend or the device is missing.
         """
-        from lfgpu.cli.estimation import Estimation
-
         bounds = values.parse_disparity_range(self.disparity_range)
         found = Estimation(config, bounds, backend_named(self.backend), self.device, **more)
         values.use_threads("--threads", self.threads)

@@ -14,7 +14,7 @@ from lfgpu.cli.options import Computing, Preset, Quiet, ReadingIncomplete, Sourc
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
-    from lfgpu.cli.estimation import Estimation
+    from lfgpu.cli.options import Estimation
     from lfgpu.contract import Float32Array
     from lfgpu.data.lightfield import LightField
     from lfgpu.data.result import DepthResult, DisparityMap

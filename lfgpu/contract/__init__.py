@@ -12,6 +12,7 @@ One file is one topic. `streaming` and `recording` are optional: a backend witho
 
 from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
+from lfgpu.contract.control import Recording
 from lfgpu.contract.device import Device
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
 from lfgpu.contract.learned import (
@@ -40,7 +41,6 @@ from lfgpu.contract.matching import (
 )
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.range_search import UNSEEN, Details, SideCosts
-from lfgpu.contract.recording import Recording
 from lfgpu.contract.solvers import Lbfgs, Residuals
 from lfgpu.contract.streaming import Lease, Maps, Slot, Streaming, Transport
 from lfgpu.contract.structure_tensor import LocalEstimate, StructureFilters

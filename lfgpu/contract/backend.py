@@ -6,19 +6,17 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from lfgpu.contract.control import Control
+from lfgpu.contract.control import Control, Recording
 from lfgpu.contract.images import Images
 from lfgpu.contract.learned import Learned
 from lfgpu.contract.matching import Matching
 from lfgpu.contract.memory import Memory
 from lfgpu.contract.prior import Prior
 from lfgpu.contract.range_search import RangeSearch
-from lfgpu.contract.recording import Recording
-from lfgpu.contract.solvers import Solvers
+from lfgpu.contract.solvers import Solvers, Vectors
 from lfgpu.contract.streaming import Streaming
 from lfgpu.contract.structure_tensor import StructureTensors
 from lfgpu.contract.synthesis import Synthesis
-from lfgpu.contract.vectors import Vectors
 
 
 class KernelSet(

@@ -1,4 +1,4 @@
-"""Filters over square windows, by NumPy alone: SciPy's take longer to import than to run."""
+"""Filters over square windows and over channels, by NumPy alone: SciPy's take longer to import than to run."""
 
 from __future__ import annotations
 
@@ -69,3 +69,11 @@ def _along_both(join: Callable[..., NDArray[Any]], values: NDArray[Any], size: i
             join(result, along[k : k + values.shape[axis]], out=result)
         values = np.moveaxis(result, 0, axis)
     return values
+
+
+def mean_of_channels(values: NDArray[Any], dtype: type[np.floating]) -> NDArray[Any]:
+    """Average along the last axis, which is so short that NumPy is slow to add it up: float [...] of `dtype`."""
+    total = values[..., 0].astype(dtype)
+    for c in range(1, values.shape[-1]):
+        total += values[..., c]
+    return np.asarray(total / dtype(values.shape[-1]))

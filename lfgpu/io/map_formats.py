@@ -1,7 +1,7 @@
 """The formats of maps: one table, an entry each, chosen by the suffix of the file.
 
 `save`, `load` and `read_map`, the viewer, `lfgpu convert`, `lfgpu eval` and the option `--save` know formats by this
-table only. A new format is a file beside this one and a row here.
+table only. A new format is a function that reads, one that writes, and a row here.
 """
 
 from __future__ import annotations

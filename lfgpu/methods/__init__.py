@@ -12,12 +12,39 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from lfgpu.config import Config, parameters, value_of
 from lfgpu.errors import LightFieldError
-from lfgpu.methods.entry import Entry
 from lfgpu.methods.matching import config as _matching
 from lfgpu.methods.synthesis import config as _synthesis
 
 if TYPE_CHECKING:
     from lfgpu.methods.base import Method
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A row of the registry of methods.
+
+    Parameters
+    ----------
+    config
+        The configuration class; its `method` is the name.
+    presets
+        Complete parameters by name.
+    home
+        Module and class of the method as `module:Class`; loaded when it is first used.
+    label
+        What the method does, in a few words.
+    labels
+        What each preset is, in a few words, by its name.
+    """
+
+    config: type[Config]
+    presets: Mapping[str, Config]
+    home: str
+    label: str
+    labels: Mapping[str, str]
+
 
 METHODS: dict[str, Entry] = {
     "matching": Entry(

@@ -22,7 +22,7 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
-from lfgpu.methods.exposure import exposure_of
+from lfgpu.methods.measured import exposure_of
 
 _SIDE = 170  # about as many pixels has the shorter side of the shrunk views
 _WINDOW = 250  # pixels along each side, of views that show nothing reduced: so many are not reduced

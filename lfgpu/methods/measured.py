@@ -1,12 +1,15 @@
-"""Measurements on a light field before the estimate: its disparity range and its noise."""
+"""Measurements on a light field before the estimate: its disparity range, its noise and its exposure."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from lfgpu.data.layout import ViewLayout
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.mapping import check_unchanged
 from lfgpu.errors import LightFieldError
 
 
@@ -56,3 +59,21 @@ def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> t
             f"by {max(abs(low), abs(high)) * nearest:g} px; give smaller disparities, in pixels per view step."
         )
     return low, high
+
+
+_SIDE = 256  # pixels: about as many rows and columns of the reference view are looked at
+_BRIGHT = 99  # percentile: what is brighter may be lamps and glints
+
+
+def exposure_of(lf: LightField) -> float:
+    """Measure the part of the range of intensities that the views use: 1, 1/2, 1/4 and so on.
+
+    It is the smallest of these numbers that is not below the bright parts of the reference view, so views that use the
+    upper half of the range have 1. The methods scale by it what they compare intensities with.
+    """
+    check_unchanged(lf.views)
+    step = max(1, min(lf.size) // _SIDE)
+    view = lf.views[lf.reference_index, ::step, ::step]
+    values = view if lf.valid is None else view[lf.valid[lf.reference_index, ::step, ::step]]
+    bright = float(np.percentile(values, _BRIGHT)) * lf.scale if values.size else 0.0
+    return 2.0 ** min(0, math.ceil(math.log2(bright))) if bright > 0 else 1.0

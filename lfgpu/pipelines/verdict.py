@@ -108,7 +108,7 @@ def judged(
     Returns
     -------
     The result with `notes` on the range and the evidence and `remarks` on the cameras. Its confidence is lower, and its
-    uncertainty larger, if the views show nothing or the cameras are out of line (`lfgpu/cameras/trust.py`).
+    uncertainty larger, if the views show nothing or the cameras are out of line (`lfgpu/cameras/looking.py`).
 
     Raises
     ------

@@ -13,7 +13,7 @@ import lfgpu
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
 from lfgpu.io.contradictions import contradictions
-from lfgpu.methods.exposure import exposure_of
+from lfgpu.methods.measured import exposure_of
 
 
 @pytest.fixture

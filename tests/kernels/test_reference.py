@@ -18,7 +18,7 @@ import splat_cases
 import splat_checks
 import view_cases
 import view_checks
-from lfgpu.kernels.reference.tent import tent, tent_slope
+from lfgpu.kernels.reference.splat import tent, tent_slope
 
 from lfgpu._backends import load
 from lfgpu.contract import half_window

@@ -20,10 +20,9 @@ from lfgpu.calibration.formats.devices import (
     stereo_cameras,
 )
 from lfgpu.calibration.formats.entries import entries_of, read_yaml
-from lfgpu.calibration.formats.kalibr import is_kalibr, kalibr_cameras
 from lfgpu.calibration.formats.llff import read_llff
 from lfgpu.calibration.formats.nerfstudio import nerfstudio_cameras
-from lfgpu.calibration.formats.opencv import opencv_cameras
+from lfgpu.calibration.formats.opencv import is_kalibr, kalibr_cameras, opencv_cameras
 from lfgpu.calibration.formats.toml import read_toml, write_cameras
 from lfgpu.data.geometry import UNITS
 from lfgpu.errors import LightFieldError

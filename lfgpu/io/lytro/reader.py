@@ -1,4 +1,4 @@
-"""Processed Lytro containers: the views of one as a light field, and what there is to say of those without views."""
+"""Processed Lytro containers: the views of one as a light field, and its contents, described or written as files."""
 
 from __future__ import annotations
 

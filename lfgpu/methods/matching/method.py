@@ -10,7 +10,6 @@ from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
-from lfgpu.methods.exposure import exposure_of
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.disparities import compared_disparities
 from lfgpu.methods.matching.guesses import GUESS_REACH
@@ -20,7 +19,7 @@ from lfgpu.methods.matching.passes import sweeps_of
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.matching.views import used_views
-from lfgpu.methods.measured import Measured, checked_range
+from lfgpu.methods.measured import Measured, checked_range, exposure_of
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _REDUCED = 3  # pixels of reduced views on which a pixel depends: by differences and by interpolation

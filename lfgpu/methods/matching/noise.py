@@ -10,9 +10,8 @@ import numpy as np
 
 from lfgpu.config import Section
 from lfgpu.contract import Device
-from lfgpu.data.channels import mean_of_channels
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.windows import window_max, window_mean, window_min
+from lfgpu.data.windows import mean_of_channels, window_max, window_mean, window_min
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
