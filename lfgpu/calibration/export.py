@@ -178,6 +178,3 @@ def _whole_units(depth: NDArray[np.float32], unit: float) -> NDArray[np.uint16]:
     values = np.rint(depth.astype(np.float64) / unit)
     known = np.isfinite(values) & (values <= _LARGEST)
     return np.where(known, values, 0).astype(np.uint16)[..., None]
-
-
-__all__ = ["POINTS", "export_scene"]

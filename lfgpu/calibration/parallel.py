@@ -130,6 +130,3 @@ def camera_info(lf: LightField, index: int | None = None) -> CameraInfo:
         tuple(map(float, p)),
         tuple(map(float, q.ravel())),
     )
-
-
-__all__ = ["CameraInfo", "camera_info", "ideal_cameras", "world_of"]

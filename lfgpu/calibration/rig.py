@@ -374,6 +374,3 @@ def _last(name: str) -> str:
 
 def _stem(name: str) -> str:
     return _last(name).rsplit(".", 1)[0].lower()
-
-
-__all__ = ["Rig", "fit_rig", "matched", "told_by_order"]

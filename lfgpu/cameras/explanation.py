@@ -293,6 +293,3 @@ class _Prediction:
             loss += float(np.minimum(error[both], 0.2).sum())
             by_plane += float(np.minimum(np.sqrt(((view - lf.image(int(n))) ** 2).mean(axis=2))[both], 0.2).sum())
         return loss <= _WORSE * by_plane
-
-
-__all__ = ["Explanation", "explain", "residual_pictures"]

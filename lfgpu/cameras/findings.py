@@ -169,6 +169,3 @@ def _direction(x: float, y: float) -> str:
     if abs(y) >= 0.25 * abs(x):
         parts.append(f"{abs(y):.2f} px {'below' if y > 0 else 'above'}")
     return " and ".join(parts)
-
-
-__all__ = ["Cameras", "axes", "brightness", "placement"]

@@ -159,6 +159,3 @@ def _nearest_around(map_: NDArray[np.float32], reach: int) -> NDArray[np.float32
     padded = np.pad(map_, [(0, -side % _BLOCK) for side in map_.shape], mode="edge")
     largest = padded.reshape(height, _BLOCK, width, _BLOCK).max((1, 3))
     return window_max(largest, 2 * (reach // _BLOCK + 1) + 1)
-
-
-__all__ = ["Points", "choose_points", "farthest", "hidden", "known_pixels", "some_on_surfaces", "textured"]

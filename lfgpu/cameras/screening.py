@@ -108,6 +108,3 @@ def _may_be_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool:
         return False
     order = order_of_depth(lf, disparity, views=_SIDES)
     return order.told >= _TOLD and order.near.sum() > _AS_GOOD * order.far.sum()
-
-
-__all__ = ["worth_a_look"]

@@ -167,6 +167,3 @@ def _spread_over_angles(order: NDArray[np.intp], offsets: Float64Array) -> NDArr
     sector = np.floor((angle + np.pi) / (2 * np.pi) * 8).astype(int) % 8
     rank = np.array([(sector[:i] == s).sum() for i, s in enumerate(sector)])
     return np.asarray(order[np.lexsort((np.arange(len(order)), rank))][:_VIEWS])
-
-
-__all__ = ["Order", "Signs", "near_and_far_swapped", "order_of_depth", "wrong_axis", "wrong_signs"]

@@ -108,9 +108,6 @@ def _spline_weights(at: Float64Array) -> tuple[NDArray[np.intp], list[Float64Arr
     return whole, weights, slopes
 
 
-__all__ = ["Surface", "grey", "patches"]
-
-
 LABELS = 65
 """Number of disparities that are tried."""
 

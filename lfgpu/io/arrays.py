@@ -51,7 +51,7 @@ _OTHERS = {
 """Other orders of axes in which arrays are written, by their number."""
 
 
-def check_axes(axes: object, names: str = "v, u or n, y, x and c") -> None:
+def check_axes(axes: object) -> None:
     """Raise LightFieldError unless `axes` names each axis once: y, x, those of views and perhaps c."""
     if (
         isinstance(axes, str)
@@ -60,7 +60,9 @@ def check_axes(axes: object, names: str = "v, u or n, y, x and c") -> None:
         and len(set("vu") & set(axes)) == (0 if "n" in axes else 2)
     ):
         return
-    raise LightFieldError(f"axes must be letters such as vuyxc or yxcn, one for each axis of {names}; found {axes!r}.")
+    raise LightFieldError(
+        f"axes must be letters such as vuyxc or yxcn, one for each axis of v, u or n, y, x and c; found {axes!r}."
+    )
 
 
 def arranged(

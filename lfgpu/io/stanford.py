@@ -28,7 +28,7 @@ def recognise(path: Path) -> str | None:
     return None if folder is None else f"it has images named out_ROW_COLUMN_Y_X, such as {_views(folder)[0][0].name}"
 
 
-def read_stanford(path: Path, *, allow_missing: bool = False) -> LightField:
+def read_stanford(path: Path) -> LightField:
     """Read a folder of views that are named by row, column and position of the camera.
 
     Positions are irregular, in the unit of the gantry. They become view steps by the median distance of neighbours in
@@ -40,8 +40,6 @@ def read_stanford(path: Path, *, allow_missing: bool = False) -> LightField:
     ----------
     path
         The folder, or one that has it as a sub-folder (rectified).
-    allow_missing
-        Not needed: any array of cameras is as good as another.
 
     Raises
     ------

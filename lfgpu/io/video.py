@@ -74,17 +74,13 @@ def recognise(path: Path) -> str | None:
     return "it begins as AVI files do" if start[:4] == b"RIFF" and start[8:] == b"AVI " else None
 
 
-def read_video(
-    path: Path, *, allow_missing: bool = False, grid: tuple[int, int] | None = None, every: int | None = None
-) -> LightField:
+def read_video(path: Path, *, grid: tuple[int, int] | None = None, every: int | None = None) -> LightField:
     """Read the frames of a video whose camera moves to the right in equal steps.
 
     Parameters
     ----------
     path
         An MP4, MOV, MKV, WebM or AVI file; frames become RGB of 8 bits.
-    allow_missing
-        Not needed.
     grid
         (1, n) for a camera that moves right, (n, 1) for down, n the number of frames taken; None is a row.
     every

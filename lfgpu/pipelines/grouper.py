@@ -250,6 +250,3 @@ class FrameGrouper:
                 self._ready.popleft()
                 self._counts["dropped"] += 1
             self._changed.notify_all()
-
-
-__all__ = ["FrameGroup", "FrameGrouper"]

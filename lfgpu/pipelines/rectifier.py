@@ -184,6 +184,3 @@ class DeviceViews:
         found = np.array(tones[self._chosen], np.float32)
         found[:, 1] /= self._scale
         return found
-
-
-__all__ = ["DeviceViews", "Rectifier"]

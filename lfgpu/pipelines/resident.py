@@ -151,5 +151,3 @@ def kept_memory() -> int:
     """
     return KEPT.bytes
 
-
-__all__ = ["KEPT", "Resident", "kept_memory", "set_kept_memory"]

@@ -137,6 +137,3 @@ class RigWatch:
         tones[used, 0] *= gain
         tones[used, 2] *= gain
         self._stream.set_tones(tones)
-
-
-__all__ = ["RigWatch"]

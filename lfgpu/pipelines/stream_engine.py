@@ -172,6 +172,3 @@ def _rectified(front: DeviceViews, work: Callable[[Array], None]) -> None:
     """Work on the views of a device; raw pictures are rectified first."""
     front.work()
     work(front.views)
-
-
-__all__ = ["SEEN_CHANGE", "Engine", "Level", "fault"]

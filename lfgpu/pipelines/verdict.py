@@ -215,6 +215,3 @@ def at_ends(disparity: Float32Array, bounds: tuple[float, float]) -> dict[str, f
 
 def _sampled(values: Float32Array) -> Float32Array:
     return values[:: max(1, values.shape[0] // _SAMPLES), :: max(1, values.shape[1] // _SAMPLES)]
-
-
-__all__ = ["MANY", "Verdict", "at_ends", "judged", "map_notes", "verdict_of", "views_alone"]

@@ -1,4 +1,7 @@
-"""Models of COLMAP: cameras and images, as text or binary. Its first pixel has its centre at (0.5, 0.5)."""
+"""Models of COLMAP: cameras, images, and since 3.12 rigs and their frames, as text or binary.
+
+Its first pixel has its centre at (0.5, 0.5).
+"""
 
 from __future__ import annotations
 
@@ -13,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
-from lfgpu.calibration.formats.colmap_frames import check_frames
 from lfgpu.calibration.formats.entries import numbers
+from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.texts import read_text
 
@@ -33,12 +36,15 @@ _NUMBERED = {model[0]: name for name, model in _MODELS.items()}
 
 _LARGEST_TEXT = 1 << 30  # bytes: the points that images show stand in it, too
 _LONGEST_NAME = 4096  # bytes
+_APART = 1e-3  # share of the extent of the cameras, and radians, by which two poses of an image may differ
 
 Lens = tuple[str, int, int, tuple[float, ...]]
 Pose = tuple[tuple[float, ...], tuple[float, ...], int, str, int]
 """Of an image: quaternion, translation, number of its camera, name, number."""
-RigPoses = dict[int, tuple[float, ...]]
-"""Of a rig the poses of its cameras (quaternion, translation; rig to camera), by the number of the camera."""
+FramePose = tuple[float, ...]
+"""Quaternion and translation, world to camera; in a rig, rig to camera."""
+RigPoses = dict[int, FramePose]
+"""Poses of the cameras of a rig, by the number of the camera."""
 
 _STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _IS_CAMERA = 0  # among COLMAP's kinds of sensors
@@ -295,3 +301,67 @@ def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
     """Write a depth map [y, x] as COLMAP stores those of its stereo: float32, 0 where it is unknown."""
     known = np.where(np.isfinite(depth), depth, 0).astype("<f4")
     path.write_bytes(f"{depth.shape[1]}&{depth.shape[0]}&1&".encode() + known.tobytes())
+
+
+def check_frames(folder: Path, images: Mapping[int, tuple[int, FramePose, str]], rig: Mapping[int, FramePose]) -> None:
+    """Raise LightFieldError if frames put images elsewhere than their own poses do: one of the two files is stale.
+
+    Parameters
+    ----------
+    folder
+        The model.
+    images
+        Number of the camera, pose and name of each image by its number.
+    rig
+        Poses of the cameras of all rigs, rig to camera, by the number of the camera.
+    """
+    centres = {key: _centre(pose) for key, (_, pose, _) in images.items()}
+    extent = float(np.ptp(np.array(list(centres.values())), axis=0).max()) if centres else 0.0
+    for frame, number in _frames(folder):
+        if number not in images or images[number][0] not in rig:
+            continue
+        key, own, name = images[number]
+        turn, shift = _matrix(rig[key])
+        outer, away = _matrix(frame)
+        rotation, translation = turn @ outer, turn @ away + shift
+        angle = float(np.linalg.norm(rotation - _matrix(own)[0])) / np.sqrt(2)
+        apart = float(np.linalg.norm(-rotation.T @ translation - centres[number]))
+        if angle > _APART or apart > _APART * max(extent, 1e-12):
+            raise LightFieldError(
+                f"images put {name} elsewhere than frames and rigs do (by {apart:.3g} units, {np.degrees(angle):.3g} "
+                "degrees): one of these files is of an older model; write the model anew with colmap model_converter."
+            )
+
+
+def _frames(folder: Path) -> Iterator[tuple[FramePose, int]]:
+    """Yield the pose of the rig (world to rig) and the number of each image that was taken from there."""
+    if (folder / "frames.bin").is_file():
+        with (folder / "frames.bin").open("rb") as file:
+            yield from _binary_frames(file)
+    elif (folder / "frames.txt").is_file():
+        for line in _rows(read_text(folder / "frames.txt", largest=_LARGEST_TEXT)):
+            parts = line.split()
+            if len(parts) < 10:
+                continue
+            for at in range(10, 10 + 3 * int(parts[9]), 3):
+                if parts[at] == "CAMERA":
+                    yield tuple(map(float, parts[2:9])), int(parts[at + 2])
+
+
+def _binary_frames(file: BinaryIO) -> Iterator[tuple[FramePose, int]]:
+    (count,) = _unpacked(file, "<Q")
+    for _ in range(count):
+        _, _, *pose, sensors = _unpacked(file, "<II7dI")
+        for _ in range(sensors):
+            kind, _, number = _unpacked(file, "<iIQ")
+            if kind == _IS_CAMERA:
+                yield tuple(pose), number
+
+
+def _matrix(pose: FramePose) -> tuple[Float64Array, Float64Array]:
+    return of_quaternion(*pose[:4]), np.array(pose[4:], np.float64)
+
+
+def _centre(pose: FramePose) -> Float64Array:
+    rotation, translation = _matrix(pose)
+    return np.asarray(-rotation.T @ translation)
