@@ -186,6 +186,12 @@ class DisparityMap:
         """Metric depth in metres, float32 [y, x], infinity beyond the horizon; None without a geometry."""
         return None if self.geometry is None else self.geometry.depth(self.disparity).astype(np.float32)
 
+    @property
+    def known_maps(self) -> dict[str, Float32Array]:
+        """Disparity, confidence, uncertainty and depth by name, float32 [y, x], as far as they are known."""
+        maps = {name: getattr(self, name) for name in ("disparity", "confidence", "uncertainty", "depth")}
+        return {name: values for name, values in maps.items() if values is not None}
+
     def save(self, path: str | os.PathLike[str], *, image: ArrayLike | None = None) -> None:
         """Write the map (.npz, .pfm, .png, .tif, .exr) or its point cloud (.ply); see `lfgpu.save`."""
         hooks.save(self, path, image=image)

@@ -108,19 +108,14 @@ def write_map(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> N
     """
     import OpenEXR
 
-    channels = {
-        "disparity": values.disparity,
-        "confidence": values.confidence,
-        "uncertainty": values.uncertainty,
-        "Z": values.depth,
-    }
-    said = {} if values.depth is None else {"channels": {"Z": "metres along the optical axis"}}
+    maps = values.known_maps
+    said = {"channels": {"Z": "metres along the optical axis"}} if "depth" in maps else {}
     header = {
         "compression": OpenEXR.ZIP_COMPRESSION,
         "type": OpenEXR.scanlineimage,
         KEY: map_about(values, **said, invalid=UNKNOWN_IS_NAN),
     }
-    kept = {name: np.ascontiguousarray(a, np.float32) for name, a in channels.items() if a is not None}
+    kept = {"Z" if name == "depth" else name: np.ascontiguousarray(a, np.float32) for name, a in maps.items()}
     try:
         with OpenEXR.File(header, kept) as file:
             file.write(str(path))

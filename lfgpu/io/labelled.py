@@ -109,8 +109,7 @@ def _row_by_row(positions: NDArray[np.float64], grid: tuple[int, int]) -> bool:
 
 def _map(map_: DisparityMap) -> _Parts:
     units = {"disparity": UNIT, "confidence": "1", "uncertainty": UNIT, "depth": "m"}
-    known = {name: getattr(map_, name) for name in units}
-    variables = {name: (["y", "x"], a, {"units": units[name]}) for name, a in known.items() if a is not None}
+    variables = {name: (["y", "x"], a, {"units": units[name]}) for name, a in map_.known_maps.items()}
     about = {} if map_.position is None else {"position": list(map(float, map_.position))}
     return variables, {}, {"name": map_.name, **about, **_geometry(map_.geometry)}
 

@@ -40,14 +40,7 @@ def recognise_npz(path: Path) -> bool:
 
 def write_npz(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
     """Write `disparity`, `confidence`, `uncertainty` and `depth` as far as known, and the metadata as a text."""
-    arrays = {
-        "disparity": values.disparity,
-        "confidence": values.confidence,
-        "uncertainty": values.uncertainty,
-        "depth": values.depth,
-    }
-    kept: dict[str, NDArray[Any]] = {name: array for name, array in arrays.items() if array is not None}
-    store(path, kept | {NPZ_KEY: np.array(map_about(values, invalid=UNKNOWN_IS_NAN))})
+    store(path, values.known_maps | {NPZ_KEY: np.array(map_about(values, invalid=UNKNOWN_IS_NAN))})
 
 
 def read_npz(path: Path) -> DisparityMap:

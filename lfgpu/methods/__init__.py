@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import importlib
 import os
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from lfgpu.config import Config, parameters, value_of
@@ -17,8 +18,6 @@ from lfgpu.methods.synthesis import config as _synthesis
 
 if TYPE_CHECKING:
     from lfgpu.methods.base import Method
-from collections.abc import Mapping
-from dataclasses import dataclass
 
 
 @dataclass(frozen=True)

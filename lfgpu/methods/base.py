@@ -7,10 +7,13 @@ Pipelines, tiles, streams, batches, the viewer and the command line use methods 
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
+
+import numpy as np
 
 from lfgpu.config import Config
 from lfgpu.contract import Array, Device, Float32Array, Scalar, Streaming
@@ -245,6 +248,16 @@ class Method(ABC, Generic[C]):
     @abstractmethod
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
         """Return the halo (y, x): pixels around a pixel on which its disparity depends. Tiles overlap by it."""
+
+    @staticmethod
+    def shifts(layout: ViewLayout, measured: Measured) -> tuple[int, int]:
+        """Largest shift (y, x) in any view, and largest difference of shifts, which is what may hide a pixel there."""
+        low, high = measured.disparity_range
+        x, y = (
+            math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
+            for axis in np.abs(layout.offsets).max(0)
+        )
+        return y, x
 
     def same_surface(self, layout: ViewLayout) -> float:
         """Largest difference between disparities of the same surface, pixels per view step."""

@@ -76,7 +76,7 @@ class DryKernels:
         """Bytes that are needed, and that operations take besides where there is room."""
 
     def __getattr__(self, name: str) -> Callable[..., Any]:
-        return lambda *arguments, **options: None
+        return lambda *arguments, **options: DryOperation()
 
     # --- memory ---
 
@@ -132,10 +132,6 @@ class DryKernels:
         """Count views in an order of its own."""
         return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
 
-    def convolution(self, weights: np.ndarray, bias: np.ndarray, device: str, **options: Any) -> DryOperation:
-        """Count nothing: weights are the same for views of any size."""
-        return DryOperation()
-
     def semi_global(self, volume: DryArray, image: Any, penalty_scale: Any, **numbers: Any) -> None:
         """Count what a GPU keeps: two volumes, and the steps to a pixel in all directions."""
         if self._on_gpu and not self.spare:
@@ -172,15 +168,9 @@ class DryKernels:
             return DryOperation()
         return DryOperation(lambda views: self._packed(views, has_mask=True))
 
-    z_buffered_data_term = data_term
-
     def lbfgs(self, shape: Sequence[int], device: str, *, memory: int, **numbers: Any) -> DryOperation:
         """Count the history."""
         self._count((2 * memory + 2, *shape), _FLOAT)
-        return DryOperation()
-
-    def residuals(self, device: str, **numbers: Any) -> DryOperation:
-        """Count nothing."""
         return DryOperation()
 
     def _packed(self, views: DryArray, *, has_mask: bool) -> None:

@@ -43,14 +43,7 @@ def compared_disparities(bounds: tuple[float, float], farthest: float, config: S
 def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
     """Choose the disparities that the network compares: two steps more than the bounds on either side, at least.
 
-    Parameters
-    ----------
-    bounds
-        (low, high), pixels per view step.
-    farthest
-        Distance of the farthest view, view steps.
-    config
-        `step` and `max_labels`.
+    Parameters are those of `compared_disparities`.
     """
     low, high = bounds
     step = max(config.step / farthest, (high - low) / (config.max_labels - 2 * _PADDING - 1))

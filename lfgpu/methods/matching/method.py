@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import math
-
-import numpy as np
-
 from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
@@ -91,18 +87,13 @@ class Matching(Method[MatchingConfig]):
         )
 
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
-        low, high = measured.disparity_range
-        # The largest shift in any view, and the largest difference of shifts: what may hide a pixel there.
-        reach = [
-            math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
-            for axis in np.abs(layout.offsets).max(0)
-        ]
+        down, across = self.shifts(layout, measured)
         passes = 2 + 2 * self.config.sweep.resweeps + 2 * self.config.alignment.iterations
         windows = (self.config.prior.window // 2) * passes + self.config.tuning.prior.patch // 2 + 2 * (REACH + 1)
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
         windows += GUESS_REACH * self.config.sweep.resweeps
         seen = NETWORK_REACH if sweeps_of(self.config)[-1].aggregation == "learned" else _PATHS
-        return reach[1] + windows + seen, reach[0] + windows + seen
+        return down + windows + seen, across + windows + seen
 
     def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> MatchingPlan:
         return MatchingPlan(layout, measured, self.config, device)

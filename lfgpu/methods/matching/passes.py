@@ -168,7 +168,7 @@ class Sweeps:
 
     def first(self, map_out: Array) -> None:
         """Find a first map [y, x]."""
-        self._find(self._first, None, map_out)
+        self.find(self._first, None, map_out)
         if self.unhidden is not None and self._first.aggregation.evidence is not None:
             self.judging.evidence(*self._first.aggregation.evidence, self.unhidden)
 
@@ -176,7 +176,7 @@ class Sweeps:
         """Find a better map [y, x], past the surfaces of the first one."""
         before, evidence = self._first, self.unhidden
         for sweep in self._further:
-            self._find(sweep, self._hiding_part(found, before, evidence), map_out)
+            self.find(sweep, self._hiding_part(found, before, evidence), map_out)
             before, found, evidence = sweep, map_out, None
 
     def past(self) -> PlannedSweep:
@@ -189,12 +189,6 @@ class Sweeps:
         row = replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation)
         return PlannedSweep(row, self._frame)
 
-    def find_past(
-        self, sweep: PlannedSweep, surface: Array, map_out: Array, expect: Callable[[Array], None] | None
-    ) -> None:
-        """Find a map [y, x] past a surface [y, x] that is known beforehand."""
-        self._find(sweep, surface, map_out, expect)
-
     def judge(self, sweep: PlannedSweep, map_: Array, unhidden: Array | None, confidence_out: Array) -> None:
         """Find the confidence [y, x] and the variance of a map [y, x] to which a sweep led; see `Judging.run`."""
         by = sweep.aggregation
@@ -206,13 +200,14 @@ class Sweeps:
             self.judging.kernels.copy(by.confidence, confidence_out)
             self.judging.kernels.copy(by.variance, self.judging.variance)
 
-    def _find(
+    def find(
         self,
         sweep: PlannedSweep,
         surface: Array | None,
         map_out: Array,
         expect: Callable[[Array], None] | None = None,
     ) -> None:
+        """Find a map [y, x] by a sweep, past a surface [y, x] that is known beforehand if one is given."""
         sweep(surface, map_out, expect)
         self._put_far(map_out)
 

@@ -153,7 +153,7 @@ class TemporalMatching(MatchingPlan):
         # A surface that is not there any more hides nothing.
         kernels.threshold(self._same, _SAME, self._hides)
         kernels.select(self._hides, self._expected, self._farthest_surface, self._hides)
-        self._sweeps.find_past(self._past_sweep, self._hides, self._swept, self._expect)
+        self._sweeps.find(self._past_sweep, self._hides, self._swept, self._expect)
         if self._sweeps.are_several:
             kernels.copy(self._swept, self._matched)
         self._improve()

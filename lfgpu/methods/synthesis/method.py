@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
-
-import numpy as np
 
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
@@ -71,13 +68,9 @@ class Synthesis(Method[SynthesisConfig]):
         return replace(found, per_pixel=found.per_pixel + _HOST_SOLVER)
 
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:
-        low, high = measured.disparity_range
-        reach = [
-            math.ceil(axis * max(abs(low), abs(high))) + math.ceil(axis * (high - low))
-            for axis in np.abs(layout.offsets).max(0)
-        ]
+        down, across = self.shifts(layout, measured)
         windows = (self.config.prior.window // 2) * _NEIGHBOURHOODS + self.config.prior.patch // 2
-        return reach[1] + windows + _EDGE, reach[0] + windows + _EDGE
+        return down + windows + _EDGE, across + windows + _EDGE
 
     def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> SynthesisPlan:
         return SynthesisPlan(layout, measured, self.config, device)
