@@ -1,7 +1,5 @@
 """Comparisons of several methods on several scenes: scores and tables."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field

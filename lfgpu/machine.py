@@ -1,7 +1,5 @@
 """The machine: its memory, packages on it, and names and memory of devices ("cpu", "cuda:0", "vulkan", "metal")."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.metadata
 import platform

@@ -1,7 +1,5 @@
 """Text that came from outside, made safe to show: in messages, on terminals, in pages."""
 
-from __future__ import annotations
-
 import unicodedata
 
 _LONGEST = 1000  # characters of a message: names of files reach 255, paths 4096

@@ -61,3 +61,15 @@ def test_examples_run(name: str, given: dict[str, Any], tmp_path: Path, monkeypa
     said: list[str] = []
     doctest.DocTestRunner().run(example, out=said.append)
     assert not said, "".join(said)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_types_stand_in_the_words_of_the_source(name: str) -> None:
+    """Types in the reference are texts: modules of what it shows have `from __future__ import annotations`."""
+    found = named(name)
+    members = [found, *vars(found).values()] if inspect.isclass(found) else [found]
+    own = [
+        getattr(m, "__init__", m) if inspect.isclass(m) else m for m in members if "Parameters\n" in (m.__doc__ or "")
+    ]
+    types = [text for member in own for text in getattr(member, "__annotations__", {}).values()]
+    assert all(isinstance(text, str | None) for text in types)

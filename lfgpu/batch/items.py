@@ -1,7 +1,5 @@
 """Items of a batch: light fields in folders, from patterns, and frames of sequences."""
 
-from __future__ import annotations
-
 import errno
 import glob
 import hashlib

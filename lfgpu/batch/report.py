@@ -1,7 +1,5 @@
 """The report of a batch: one page with a row for each item, failed ones first."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Batch as a whole: the choice of items to do, their run, and the summary."""
 
-from __future__ import annotations
-
 import shutil
 import time
 from collections import defaultdict

@@ -1,7 +1,5 @@
 """The start-up code of worker processes of a local cluster (a preload of Dask)."""
 
-from __future__ import annotations
-
 import signal
 from typing import Any
 

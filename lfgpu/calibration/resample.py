@@ -1,7 +1,5 @@
 """Resampling of views, each once: places of pixels, cubic splines, masks of places outside of the picture."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

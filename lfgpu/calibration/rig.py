@@ -6,8 +6,6 @@ disparity 0. A real camera differs from that by a rotation, which is a homograph
 one resampling. A camera before or behind the plane is corrected by its scale, exactly at one depth.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

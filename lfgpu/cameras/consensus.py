@@ -1,7 +1,5 @@
 """Trends that most views follow, and the views that stand out from them."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

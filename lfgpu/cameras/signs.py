@@ -5,8 +5,6 @@ with texture finds the way of counting with which they agree best. Wrong signs o
 and views agree as well as before; but then the surfaces that the map has as far hide those that it has as near.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Views between their pixels: a smooth look-up with derivatives, patches by bilinear look-up, and a sweep over them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

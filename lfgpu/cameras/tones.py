@@ -1,7 +1,5 @@
 """Gain, offset and vignetting of each view against the reference, found at points that all of them show."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 Commands import what they need when they run, so that help texts and wrong usage answer quickly.
 """
 
-from __future__ import annotations
-
 import gc
 import io
 import sys

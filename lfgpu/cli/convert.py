@@ -1,7 +1,5 @@
 """`lfgpu convert`: a disparity map in another file format."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

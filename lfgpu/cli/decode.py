@@ -1,7 +1,5 @@
 """`lfgpu decode`: the views of a raw capture of a lenslet camera, as image files."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

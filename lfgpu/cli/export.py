@@ -1,7 +1,5 @@
 """`lfgpu export`: the estimate as files that a C++ program runs without Python."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated

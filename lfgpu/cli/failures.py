@@ -1,7 +1,5 @@
 """Errors of commands: each becomes one sentence on stderr and an exit code."""
 
-from __future__ import annotations
-
 import errno
 import shlex
 from typing import Any

@@ -1,7 +1,5 @@
 """`lfgpu info`: the way a light field is read, and faults that all its cameras share."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -4,8 +4,6 @@ A help text names a list in braces, such as `{formats}`. A new row of a registry
 commands load no registry to say what they do.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

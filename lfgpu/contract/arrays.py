@@ -1,7 +1,5 @@
 """The arrays and numbers of a backend."""
 
-from __future__ import annotations
-
 from typing import Any, TypeAlias
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A whole backend: the operations by topic, and what only some backends can do."""
 
-from __future__ import annotations
-
 from typing import Any, Protocol
 
 import numpy as np

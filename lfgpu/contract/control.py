@@ -1,7 +1,5 @@
 """Loops that the device decides about, work that it repeats or that becomes a file, and who may ask it for work."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A device of a backend: where arrays live and operations run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Views as images: intensities, lines of views, local contrast, smoothed and reduced views."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

@@ -6,8 +6,6 @@ pixel (y, x) and channel FOLD^2 c + FOLD i + j of the folded one. Beyond its bor
 pixels until the folded one is full.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Protocol
 

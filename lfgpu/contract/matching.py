@@ -1,7 +1,5 @@
 """Matching: costs of disparities, the surface of least cost, and its confidence."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

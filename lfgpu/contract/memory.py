@@ -1,7 +1,5 @@
 """Arrays and numbers on a device, and what they hold."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Protocol
 

@@ -1,7 +1,5 @@
 """The non-local-means prior: its weights and what they do to maps and volumes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal, Protocol, TypeAlias
 

@@ -1,7 +1,5 @@
 """Search for the disparities of a scene: views of a lower resolution, compared side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, Protocol
 

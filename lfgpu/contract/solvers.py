@@ -1,7 +1,5 @@
 """Solvers on a device: vector operations on fields, and the memory of iterative solvers."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

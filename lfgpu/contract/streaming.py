@@ -1,7 +1,5 @@
 """An optional capability of a backend: frames that come and maps that go while the device works."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any, Protocol, TypeAlias
 

@@ -1,7 +1,5 @@
 """Structure tensors on epipolar plane images."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
 

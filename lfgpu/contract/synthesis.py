@@ -1,7 +1,5 @@
 """The forward model of a light field: the splat, with and without occlusions, and its squared error."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Protocol
 

@@ -3,8 +3,6 @@
 `lfgpu/__init__.py` sets them, so that this room imports none of those above it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 save: Callable[..., None]

@@ -1,7 +1,5 @@
 """Arrays of other libraries: their device, dtype and shape, from DLPack or the CUDA array interface."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Checks of the arrays of a light field: numbers on a scale, and cameras at places of their own."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from numbers import Integral, Real

@@ -1,7 +1,5 @@
 """Memory-mapped arrays: only the parts that are read take memory, until it is released."""
 
-from __future__ import annotations
-
 import mmap
 import os
 from collections.abc import Callable, Sequence

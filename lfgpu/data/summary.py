@@ -1,7 +1,5 @@
 """Short texts about arrays: what `repr` of light fields and results shows instead of their numbers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

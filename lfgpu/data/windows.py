@@ -1,7 +1,5 @@
 """Filters over square windows and over channels, by NumPy alone: SciPy's take longer to import than to run."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Metadata of a written map, one JSON text: all that it takes to read the map right."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

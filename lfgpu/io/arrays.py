@@ -1,7 +1,5 @@
 """Arrays of views that come as a whole: which axis is which, and what is kept, converted or refused."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import replace

@@ -4,8 +4,6 @@ A process holds a lock on that folder. The system takes it away from a process t
 one that writes there tells remnants from what others are writing, and removes them.
 """
 
-from __future__ import annotations
-
 import os
 import secrets
 import shutil

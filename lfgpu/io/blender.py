@@ -3,8 +3,6 @@
 The file says how the camera projects, and where it stood for each image; OpenEXR images hold the depth as well.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Light in views: pixels and corners that recorded none, and white of fewer bits than the type has."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Contradictions between the pictures of a light field and the places of their cameras, in sentences."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import islice
 

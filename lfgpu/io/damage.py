@@ -1,7 +1,5 @@
 """Guards of readers: damage becomes a sentence, and claimed sizes are judged before memory is taken for them."""
 
-from __future__ import annotations
-
 import importlib
 import math
 import os

@@ -3,8 +3,6 @@
 What may stand in it is in docs/formats.md. Files are named relative to the description; nothing in it is run.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import os

@@ -1,7 +1,5 @@
 """Views that stay on disk, and their unpacking into temporary files."""
 
-from __future__ import annotations
-
 import shutil
 import tempfile
 import threading

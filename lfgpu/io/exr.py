@@ -1,7 +1,5 @@
 """OpenEXR files of many channels, and maps in them (extra `exr`): float32 channels, metadata in the header."""
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

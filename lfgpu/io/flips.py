@@ -1,7 +1,5 @@
 """Cameras that are counted otherwise: from the other end, rows for columns, or along a line that turns."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Contents of folders, with the file system's complaints turned into sentences."""
 
-from __future__ import annotations
-
 import re
 import stat
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """Rendered images as files: one as PNG or TIFF, many as GIF, MP4 or a folder of PNGs."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from collections.abc import Callable, Iterable, Iterator

@@ -1,7 +1,5 @@
 """Files at places of a grid as a light field: duplicates, holes and the centre are what can be wrong with it."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path

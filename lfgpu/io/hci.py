@@ -1,7 +1,5 @@
 """Folders of the HCI 4D Light Field Benchmark: input_Cam000.png ..., parameters.cfg and ground truth."""
 
-from __future__ import annotations
-
 import configparser
 import math
 import os

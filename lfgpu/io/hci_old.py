@@ -1,8 +1,6 @@
 """The old HCI light fields (Wanner, Meister, Goldluecke: Datasets and Benchmarks for Densely Sampled 4D Light Fields,
 VMV 2013): one HDF5 file each, or folders exported from them."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path

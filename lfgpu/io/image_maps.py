@@ -1,7 +1,5 @@
 """Maps as images: PNG of 16 bits and TIFF of float32, each with a text that says what its values mean."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 from itertools import islice
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One image file as an array: what is kept, what is converted with a remark, what is refused."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Light fields that the Light Field Toolbox for MATLAB decoded: .mat files with LF [t, s, v, u, c]."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The numbers in the names of pictures: what each of them counts (row, column, camera, time ...), and why."""
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence

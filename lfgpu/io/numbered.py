@@ -1,7 +1,5 @@
 """Folders of pictures whose names have numbers: rows and columns, cameras, or cameras and times."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """Arrays of .npy and .npz files, whose headers are judged before memory is taken; pickles are refused."""
 
-from __future__ import annotations
-
 import math
 import zipfile
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """NumPy files: one array of views, or an archive of views, positions and validity. Pickles are refused."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 from typing import Any

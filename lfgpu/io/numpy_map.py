@@ -1,7 +1,5 @@
 """Maps as NumPy files: .npz, with metadata beside the arrays, and .npy, of the values only."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -5,8 +5,6 @@ of all pairs of pictures are one disparity map times a vector each: a matrix of 
 the cameras, up to one common factor, and how much of the motion they explain says whether that can be believed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Portable float maps: a short text header, then rows of float32 from the bottom up."""
 
-from __future__ import annotations
-
 import os
 import re
 from pathlib import Path

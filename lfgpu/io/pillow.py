@@ -1,7 +1,5 @@
 """Pillow, opened for the formats of pictures only, and quiet: the one place from which files reach it."""
 
-from __future__ import annotations
-
 import ctypes
 import io
 import threading

@@ -1,7 +1,5 @@
 """Folders that PlenoptiCam exports: viewpoints_9px with 0_0.png ... 8_8.png, row and column."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -4,8 +4,6 @@ A file has one element `vertex`, binary and little endian, each of its propertie
 pixel and the disparity that it comes from.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

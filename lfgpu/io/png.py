@@ -1,7 +1,5 @@
 """PNG files: written by Pillow where Pillow can, and decoded by imagecodecs where it is installed (extra `png`)."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Progress of readers: a few words for each step, to whoever listens in the same thread."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar

@@ -1,7 +1,5 @@
 """A whole result in one .npz: the maps as arrays, everything else as one JSON text."""
 
-from __future__ import annotations
-
 import json
 import os
 import zipfile

@@ -1,7 +1,5 @@
 """Folders that hold several light fields: none of them may be taken for the folder without a word."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 

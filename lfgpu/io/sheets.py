@@ -1,7 +1,5 @@
 """One picture that holds all views: side by side, or a pixel of each view under every microlens (ESLF)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

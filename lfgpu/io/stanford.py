@@ -1,7 +1,5 @@
 """The (New) Stanford Light Field Archive: rectified views named out_ROW_COLUMN_Y_X.png after where the camera stood."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Sentences about what was taken for what when a light field was read: places, pictures, lengths."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from lfgpu.data.geometry import UNITS, Geometry

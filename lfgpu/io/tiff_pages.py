@@ -1,7 +1,5 @@
 """The chain of pages of a TIFF file, followed by itself before a library does: it may be a circle."""
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One TIFF file of many pages, a view each (extra `tiff`)."""
 
-from __future__ import annotations
-
 import logging
 import math
 import struct

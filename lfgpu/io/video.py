@@ -1,7 +1,5 @@
 """Videos, decoded by ffmpeg in a process of its own, and those of a camera that moves along a rail (extra `video`)."""
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from pathlib import Path
 from typing import Any

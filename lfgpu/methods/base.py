@@ -5,8 +5,6 @@ a method allocated for light fields of one kind on one device; its stages comput
 Pipelines, tiles, streams, batches, the viewer and the command line use methods through these two classes only.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """The memory of an estimate, computed from sizes alone; `tests/test_tiles.py` compares it with measured memory."""
 
-from __future__ import annotations
-
 import math
 import re
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Measurements on a light field before the estimate: its disparity range, its noise and its exposure."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

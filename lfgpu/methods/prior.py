@@ -1,7 +1,5 @@
 """The non-local-means prior: weights between pixels of a reference image, and the operators made of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from lfgpu.contract import Array, Device, OverPatch, PatchGradients, Scalar, half_window

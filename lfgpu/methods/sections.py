@@ -1,7 +1,5 @@
 """Parameters that more than one method has."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lfgpu.config import Section, number

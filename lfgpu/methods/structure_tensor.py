@@ -1,7 +1,5 @@
 """The local estimate: structure tensors on epipolar plane images (EPIs); each pixel keeps the most coherent one."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter1d

@@ -1,7 +1,5 @@
 """Epipolar plane images (EPIs), enlarged around points where a map is easy to judge: on texture, and at an edge."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 

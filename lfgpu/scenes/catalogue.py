@@ -1,7 +1,5 @@
 """The scenes by name: their objects, positions and textures."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

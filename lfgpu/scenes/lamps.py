@@ -4,8 +4,6 @@ A lamp stands in the plane of the cameras, so that its rays are those of a view 
 that have one slope. A thing hides from a lamp what it hides from that view.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -8,8 +8,6 @@ is { (x + T*U, y + T*V, T) }; all rays of a view have the same slope (U, V). A r
 that the first hit is the one with the largest T.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, Protocol, Self

@@ -1,7 +1,5 @@
 """The scene `still_life`: things on a table before a wall, with soft shadows."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -1,7 +1,5 @@
 """Conjugate gradients with a diagonal preconditioner, on a backend's vectors (Hestenes and Stiefel 1952)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from lfgpu.contract import Array, Device

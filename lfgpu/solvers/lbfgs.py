@@ -1,7 +1,5 @@
 """Bounded L-BFGS (Nocedal 1980) on the vectors of a backend; all decisions are made on the device."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 from lfgpu.contract import Array, Device, Scalar

@@ -1,7 +1,5 @@
 """L-BFGS-B of SciPy (Byrd, Lu, Nocedal and Zhu 1995), the optimiser of the paper; its vectors are on the host."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The outcome of an iterative solver."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 

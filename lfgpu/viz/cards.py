@@ -1,7 +1,5 @@
 """Cards: pictures for pages, each with its title and its scale; and tiles, numbers with their titles."""
 
-from __future__ import annotations
-
 import base64
 import io
 import math

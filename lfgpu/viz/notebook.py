@@ -1,7 +1,5 @@
 """The HTML of light fields and results in notebooks. Its text has the colours of the notebook, light or dark."""
 
-from __future__ import annotations
-
 import secrets
 from collections.abc import Sequence
 

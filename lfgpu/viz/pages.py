@@ -1,7 +1,5 @@
 """Pages: the templates in `lfgpu/templates`, filled in."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

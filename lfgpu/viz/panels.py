@@ -1,7 +1,5 @@
 """Pictures of views and EPIs as arrays of pixels, for pages and notebooks."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Iterable
 from itertools import islice

@@ -1,7 +1,5 @@
 """Maps as pictures with a colour bar, drawn with Pillow: matplotlib takes longer to import than these take to draw."""
 
-from __future__ import annotations
-
 import math
 import os
 from contextlib import suppress

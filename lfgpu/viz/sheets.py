@@ -1,7 +1,5 @@
 """Sheets of several pictures: an overview of one result, and the errors of several methods on several scenes."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

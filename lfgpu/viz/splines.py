@@ -1,7 +1,5 @@
 """Images between their pixels: cubic splines, which keep them sharper than bilinear interpolation does."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from typing import Any

@@ -3,8 +3,6 @@
 Its first pixel has its centre at (0.5, 0.5).
 """
 
-from __future__ import annotations
-
 import os
 import struct
 from collections.abc import Iterator, Mapping, Sequence

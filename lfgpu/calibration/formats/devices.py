@@ -10,8 +10,6 @@ centimetres.
 OpenCV's stereo calibration: M1, D1, M2, D2 (or cameraMatrix1, ...) and R, T from the first to the second camera.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Entries of calibrations: numbers of the right count, matrices of OpenCV, YAML that stays small."""
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterator, Mapping

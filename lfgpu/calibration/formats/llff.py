@@ -4,8 +4,6 @@ A row is 3 x 5 numbers and the nearest and farthest depth. Columns are the camer
 the world, its centre, and (height, width, focal length).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

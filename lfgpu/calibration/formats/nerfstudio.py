@@ -3,8 +3,6 @@
 The first pixel has its centre at (0.5, 0.5).
 """
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping, Sequence

@@ -6,8 +6,6 @@ are a list `cameras`, or entries of their own with their names. OpenCV's `multiv
 distortions, Rs, Ts, image_sizes, models and cam_ids for all cameras together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

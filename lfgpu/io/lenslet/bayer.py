@@ -1,7 +1,5 @@
 """The mosaic of colours: its patterns, which one a picture has, and a demosaicing that stays within a microlens."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 
 import numpy as np

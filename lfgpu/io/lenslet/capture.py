@@ -1,7 +1,5 @@
 """One raw capture, whatever it comes in: a Lytro container, a bare raw file of a Lytro camera, or a grey picture."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

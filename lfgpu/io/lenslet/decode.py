@@ -1,7 +1,5 @@
 """The way from a raw capture to a light field, on one page."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The row of raw captures in the table of formats: how they are recognised and read."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Decoded captures that are kept in the user's cache: to decode one takes seconds, and it is looked at often."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -5,8 +5,6 @@ pitch, rotation and rows to a part of a bin (`spectrum`); the phases of the pict
 of the lattice (`phases`). Where there are few lenses, their middles are measured one by one (`spots`).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

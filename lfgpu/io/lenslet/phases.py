@@ -5,8 +5,6 @@ neighbourhood. Planes fitted to them give a regular lattice; where the lenses li
 two quotients with one denominator do.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """From the sensor to views: the same point under every microlens is a view, on a hexagonal grid that is made square."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """The peaks of a lattice in the power spectrum of a picture: three pairs of a hexagonal one, two of a square one."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """A lattice of few, large spots: from the picture's likeness to itself, and then from the middle of each spot."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

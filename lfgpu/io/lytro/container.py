@@ -5,8 +5,6 @@ and the length of its data, big endian. If that is not 0, 80 bytes with the sect
 zeros up to a multiple of 16. One section is the table of contents; it is JSON and names all others.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

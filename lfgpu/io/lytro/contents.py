@@ -4,8 +4,6 @@ Cameras write the raw picture. Lytro's desktop program and web service write "ac
 computed from it, for viewers. The first camera's program and the Illum's describe them with different words.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any

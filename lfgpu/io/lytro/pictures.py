@@ -1,7 +1,5 @@
 """Pictures and tables in the sections of a container, as arrays."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Processed Lytro containers: the views of one as a light field, and its contents, described or written as files."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

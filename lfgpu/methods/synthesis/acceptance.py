@@ -8,8 +8,6 @@ only: a pixel on the wrong surface could go anywhere. So pixels stay where most 
 start.
 """
 
-from __future__ import annotations
-
 from lfgpu.contract import Array, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.prior import NonLocalMeans

@@ -1,7 +1,5 @@
 """The parameters of synthesis, and its preset."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 from lfgpu.config import Config, Section, choice, number

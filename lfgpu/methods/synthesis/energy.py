@@ -1,7 +1,5 @@
 """The energy that the refinement minimises: the data term plus the weighted prior, with its exact gradient."""
 
-from __future__ import annotations
-
 from lfgpu.contract import Array, Scalar
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.synthesis.model import ForwardModel

@@ -1,7 +1,5 @@
 """Synthesis as a method: its stages, its memory and its halo."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from lfgpu.contract import Device

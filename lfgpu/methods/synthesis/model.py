@@ -1,7 +1,5 @@
 """The generative model: the reference view and a disparity map predict every view (paper §6)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lfgpu.contract import Array, Device, Float32Array, Scalar

@@ -5,8 +5,6 @@ the gaps from similar pixels nearby. `refine` changes the map until it predicts 
 prior; with `refinement.acceptance` "by-pixel" each pixel takes of that what makes the views agree better.
 """
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

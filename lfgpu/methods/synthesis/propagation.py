@@ -1,7 +1,5 @@
 """Propagation: the gaps of the local estimate are filled from similar pixels nearby (paper §5)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """The parameters in the units of a light field: its noise, or the spread of its reference view."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from typing import Any
 
