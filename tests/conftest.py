@@ -169,7 +169,7 @@ def nothing_kept(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.M
     """No pipeline is one of another test; captures are decoded in each, and the cache of the user stays as it is."""
     KEPT.free()
     place = tmp_path_factory.getbasetemp() / f"decoded-{secrets.token_hex(4)}"
-    monkeypatch.setattr("lfgpu.io.lenslet.kept.folder", lambda: place)
+    monkeypatch.setattr("lfgpu.io.lenslet.entry.folder", lambda: place)
 
 
 @pytest.fixture

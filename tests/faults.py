@@ -276,7 +276,7 @@ FAULTS = (
     ),
     Fault(
         "the longest change that the noise does not scale",
-        "lfgpu/methods/synthesis/units.py",
+        "lfgpu/methods/synthesis/plan.py",
         "longest_change=times * refinement.longest_change",
         "longest_change=refinement.longest_change",
         (_FORMULAS, "-k", "twice_the_noise"),
@@ -500,7 +500,7 @@ FAULTS = (
     ),
     Fault(
         "the place of a rig that is not turned into its camera",
-        "lfgpu/calibration/formats/colmap_frames.py",
+        "lfgpu/calibration/formats/colmap.py",
         "turn @ outer, turn @ away + shift",
         "turn @ outer, away + shift",
         ("tests/calibration/test_calibration_formats.py", "-k", "older_than"),

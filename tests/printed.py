@@ -21,9 +21,8 @@ from lfgpu.methods.structure_tensor import LocalEstimator
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
-from lfgpu.methods.synthesis.plan import planned_prior
+from lfgpu.methods.synthesis.plan import in_units_of, planned_prior, spread
 from lfgpu.methods.synthesis.propagation import Propagation
-from lfgpu.methods.synthesis.units import in_units_of, spread
 
 Array = NDArray[np.float64]
 

@@ -282,7 +282,7 @@ def test_chosen_parts_of_an_array_are_uploaded(target: Any, chosen: list[int] | 
 
 def test_staged_parts_are_all_bytes_in_order() -> None:
     pytest.importorskip("warp")
-    from lfgpu.kernels.warp.staging import parts_of
+    from lfgpu.kernels.warp.memory import parts_of
 
     values = np.random.default_rng(0).integers(0, 255, 1000, np.uint8)
     pieces = [values[:300], values[300:301], values[301:301], values[301:]]

@@ -25,7 +25,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.io.lenslet.decode import _expected
-from lfgpu.io.lytro.camera import MicrolensArray
+from lfgpu.io.lytro.contents import MicrolensArray
 from lfgpu.methods import preset
 from lfgpu.methods.matching.method import Matching
 from lfgpu.methods.matching.temporal import TemporalMatching
@@ -35,7 +35,7 @@ from lfgpu.methods.sections import LocalConfig
 from lfgpu.methods.structure_tensor import _rests_on_valid
 from lfgpu.methods.synthesis.acceptance import Acceptance
 from lfgpu.methods.synthesis.config import SynthesisConfig
-from lfgpu.methods.synthesis.units import in_units_of
+from lfgpu.methods.synthesis.plan import in_units_of
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines.all_views import _Place
 from lfgpu.pipelines.tiles import Plan, _joined

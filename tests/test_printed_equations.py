@@ -16,8 +16,7 @@ from lfgpu.methods import method_of, preset
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
-from lfgpu.methods.synthesis.plan import SynthesisPlan, planned_prior
-from lfgpu.methods.synthesis.units import in_units_of, noise_in_units, spread
+from lfgpu.methods.synthesis.plan import SynthesisPlan, in_units_of, noise_in_units, planned_prior, spread
 from tests import printed
 
 RANGE = (-1.5, 1.6)

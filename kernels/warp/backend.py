@@ -12,7 +12,7 @@ from .convolution import convolution
 from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .edges import edge_weights
 from .lbfgs import lbfgs
-from .memory import clear, devices, field, image, number, numpy, scalar, upload, zeros, zeros_image
+from .memory import clear, devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
 from .occlusion import splat_z_buffered, visible
@@ -23,7 +23,6 @@ from .resampling import resample
 from .residuals import residuals
 from .sectors import brightness, fold, sector_costs
 from .semi_global import semi_global
-from .sharing import shared
 from .smoothing import reduce_views, smooth_views
 from .splat import data_term, seen_by_reference, splat
 from .structure_tensor import keep_more_coherent, structure_tensor

@@ -1,9 +1,14 @@
-"""Arrays of the Warp backend: fields are scalars, images are vectors of their channels, so that a pixel is one load."""
+"""Arrays of the Warp backend: how they are made, filled from pinned memory, read, and shared with other libraries.
+
+Fields are scalars, images are vectors of their channels, so that a pixel is one load.
+"""
 
 import os
 import sys
 import tempfile
+import threading
 from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -11,10 +16,186 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .asking import asking, started
-from .cache import cache_is_closed
-from .sharing import take
-from .staging import WORTHWHILE, staging
-from .threads import in_slices, once
+from .threads import cache_is_closed, in_slices, once
+
+
+class Shared:
+    """A field for other libraries: no copy, and whoever reads it waits for all that was asked for before.
+
+    Warp's own arrays do not name their stream in `__cuda_array_interface__`, without which CuPy would not wait for it,
+    and their `__dlpack__` does not know what newer readers ask for.
+    """
+
+    def __init__(self, field: Any) -> None:
+        self._field = field
+        self.shape: tuple[int, ...] = field.shape
+        self.dtype = np.dtype(np.float32)
+
+    @property
+    def __array_interface__(self) -> dict[str, Any]:
+        return self._field.__array_interface__  # AttributeError on a GPU, as NumPy wants it
+
+    @property
+    def __cuda_array_interface__(self) -> dict[str, Any]:
+        # A stream of 0 is not allowed: the default stream is 1.
+        stream = self._field.device.stream.cuda_stream if self._field.device.is_cuda else None
+        return {**self._field.__cuda_array_interface__, "version": 3, "stream": stream or 1}
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> Any:
+        if self._field.device.is_cuda:
+            raise TypeError(f"the map is on {self._field.device}; for a copy in NumPy ask for disparity() or result().")
+        return np.array(self._field.numpy(), dtype, copy=copy)
+
+    def __dlpack__(
+        self,
+        *,
+        stream: int | None = None,
+        max_version: tuple[int, int] | None = None,  # there is one version that all readers know
+        dl_device: tuple[int, int] | None = None,
+        copy: bool | None = None,
+    ) -> Any:
+        if dl_device not in (None, self.__dlpack_device__()):
+            raise BufferError(f"the map is on {self._field.device} and does not leave it by DLPack.")
+        return (wp.clone(self._field) if copy else self._field).__dlpack__(stream)
+
+    def __dlpack_device__(self) -> tuple[int, int]:
+        return self._field.__dlpack_device__()
+
+
+def shared(field: Any) -> Shared:
+    return Shared(field)
+
+
+def take(values: Any, array_out: Any, own: Any = None, *, chosen: Sequence[int] | None = None) -> None:
+    """Copy an array [..., c] of another library on this GPU: after what its library was asked for, before what it will.
+
+    With `chosen`, those of its parts along the first axis, in that order.
+    The copy takes its turn on the stream `own`, by default Warp's. Where that library does not say on which stream it
+    works, the host waits for the copy.
+    """
+    device = array_out.device
+    own = own or device.stream
+    vector = array_out.dtype is not wp.float32
+    scalar = array_out.dtype._wp_scalar_type_ if vector else wp.float32
+    shape = (*array_out.shape, array_out.dtype._length_) if vector else array_out.shape
+    target = wp.array(ptr=array_out.ptr, dtype=scalar, shape=shape, device=device, copy=False)
+    stream = _stream_of(values, device)
+    if hasattr(values, "__dlpack__"):
+        # Given our stream, their library makes it wait; 1 is the default stream, as 0 is not allowed.
+        source = wp.from_dlpack(values.__dlpack__(stream=own.cuda_stream or 1), dtype=scalar)
+    else:
+        interface = values.__cuda_array_interface__
+        if stream is None:
+            wp.synchronize_device(device)
+        else:
+            own.wait_stream(stream)
+        place, strides = interface["data"][0], interface.get("strides")
+        shape = tuple(interface["shape"])
+        source = wp.array(ptr=place, dtype=scalar, shape=shape, strides=strides, device=device, copy=False)
+    if chosen is None:
+        wp.copy(target, source, stream=own)
+    else:
+        for k, index in enumerate(chosen):
+            wp.copy(target[k], source[index], stream=own)
+    if stream is None:
+        wp.synchronize_stream(own)
+    else:
+        stream.wait_stream(own)
+
+
+def _stream_of(values: Any, device: Any) -> Any:
+    """Return the stream on which the library of `values` works now, None if it does not say."""
+    torch = sys.modules.get("torch")
+    if torch is not None and isinstance(values, torch.Tensor):
+        return _stream(device.alias, torch.cuda.current_stream(device.ordinal).cuda_stream)
+    handle = getattr(values, "__cuda_array_interface__", {}).get("stream")
+    return None if handle is None else _stream(device.alias, handle)
+
+
+@once
+def _stream(device: str, handle: int) -> Any:
+    """Kept, as Warp forgets what it knows of a stream when the first of several such objects goes."""
+    return wp.get_device(device).null_stream if handle in (0, 1) else wp.Stream(device, cuda_stream=handle)
+
+
+WORTHWHILE = 2**18  # bytes; fewer are there before threads have begun
+_LEAST_PART, _PART = 2**19, 2**22  # bytes
+_PARTS = 16  # that may be on their way
+_THREADS = 8  # that copy
+
+
+class _Staging:
+    """The pinned memory of one device."""
+
+    def __init__(self, device: str) -> None:
+        self._parts = [wp.empty(_PART, dtype=wp.uint8, device="cpu", pinned=True) for _ in range(_PARTS)]
+        self._room = [part.numpy() for part in self._parts]
+        self._free = [wp.Event(device) for _ in self._parts]
+        self._used = [False] * _PARTS  # its event says when the bus is done with it
+        self._pool = ThreadPoolExecutor(_THREADS, thread_name_prefix="lfgpu-staging")
+        self._lock = threading.Lock()
+
+    def send(self, pieces: Sequence[NDArray[np.uint8]], target: Any) -> None:
+        """Bytes, one piece after the other, into bytes on the device, in the order of its stream.
+
+        The pieces may be changed once this returns.
+        """
+        with self._lock:
+            size = min(max(-(-sum(map(len, pieces)) // _THREADS), _LEAST_PART), _PART)
+            parts = parts_of(pieces, size)
+            filling: list[Future[int]] = []
+            for k, (_, part) in enumerate(parts):
+                if k >= _PARTS:
+                    self._post(k - _PARTS, filling[k - _PARTS], parts[k - _PARTS][0], target)
+                filling.append(self._pool.submit(self._fill, k % _PARTS, part))
+            for k in range(max(0, len(parts) - _PARTS), len(parts)):
+                self._post(k, filling[k], parts[k][0], target)
+
+    def receive(self, source: Any) -> NDArray[np.uint8]:
+        """Bytes of the device, once all is done that its stream was asked for."""
+        values = np.empty(source.shape[0], np.uint8)
+        with self._lock:
+            for first in range(0, len(values), _PART * _PARTS):
+                parts = [values[k : k + _PART] for k in range(first, min(first + _PART * _PARTS, len(values)), _PART)]
+                for place, part in enumerate(parts):
+                    if self._used[place]:
+                        source.device.stream.wait_event(self._free[place])
+                    self._copy(self._parts[place], source, 0, first + place * _PART, len(part), place)
+                for place, part in enumerate(parts):
+                    wp.synchronize_event(self._free[place])
+                    part[:] = self._room[place][: len(part)]
+        return values
+
+    def _fill(self, place: int, values: NDArray[np.uint8]) -> int:
+        if self._used[place]:
+            wp.synchronize_event(self._free[place])
+        self._room[place][: len(values)] = values
+        return len(values)
+
+    def _post(self, k: int, filled: Future[int], start: int, target: Any) -> None:
+        place, count = k % _PARTS, filled.result()
+        self._copy(target, self._parts[place], start, 0, count, place)
+
+    def _copy(self, target: Any, source: Any, to: int, start: int, count: int, place: int) -> None:
+        wp.copy(target, source, dest_offset=to, src_offset=start, count=count)
+        stream = (target if target.device.is_cuda else source).device.stream
+        stream.record_event(self._free[place])
+        self._used[place] = True
+
+
+def parts_of(pieces: Sequence[NDArray[np.uint8]], size: int) -> list[tuple[int, NDArray[np.uint8]]]:
+    """Pieces cut into parts of at most `size` bytes, each with where it begins among the bytes of all."""
+    parts, first = [], 0
+    for piece in pieces:
+        parts += [(first + k, piece[k : k + size]) for k in range(0, len(piece), size)]
+        first += len(piece)
+    return parts
+
+
+@once
+def staging(device: str) -> _Staging:
+    return _Staging(device)
+
 
 _LARGE = 2**22  # bytes
 

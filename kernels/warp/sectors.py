@@ -24,13 +24,7 @@ _BLOCK = 128  # threads of a GPU, each with a pixel
 
 @once
 def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
-    numbers: dict[str, Any] = {
-        "CHANNELS": channels,
-        "SECTORS": SECTORS,
-        "FOLD": FOLD,
-        "UNIT": COST_UNIT,
-        "CHUNK": _CHUNK,
-    }
+    numbers: dict[str, Any] = {**_NUMBERS, "CHANNELS": channels, "CHUNK": _CHUNK}
     types = {"Kept": kept_type(stored), "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
     module = f"lfgpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
     found = kernel(
@@ -42,13 +36,7 @@ def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
 @once
 def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
     kept = gpu_kept_type(channels, stored)
-    numbers: dict[str, Any] = {
-        "CHANNELS": channels,
-        "SECTORS": SECTORS,
-        "FOLD": FOLD,
-        "UNIT": COST_UNIT,
-        "BLOCK": _BLOCK,
-    }
+    numbers: dict[str, Any] = {**_NUMBERS, "CHANNELS": channels, "BLOCK": _BLOCK}
     types = {"Kept": kept, "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
     module = f"lfgpu_gpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
     numbers |= {"STORED": c_type(costs), "BYTES": {wp.uint8: 1, wp.uint16: 2}.get(stored, 0), **names_of(kept)}

@@ -8,8 +8,7 @@ import warp as wp
 
 from lfgpu.contract import DataTerm
 
-from .curvature import curvature, curvature_factor
-from .gpu_data_term import GpuDataTerm
+from .gpu_data_term import GpuDataTerm, curvature, curvature_factor
 from .memory import pixel_type
 from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
 

@@ -16,8 +16,7 @@ import warp as wp
 from numpy.typing import NDArray
 
 from .asking import alone, asking
-from .memory import pixel_type
-from .sharing import Shared, take
+from .memory import Shared, pixel_type, take
 from .threads import launch, load, once
 
 wp.set_module_options({"enable_backward": False})

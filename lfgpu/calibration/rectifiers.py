@@ -19,7 +19,7 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
-from lfgpu.io.numpy_arrays import load_arrays
+from lfgpu.io.numpy_file import load_arrays
 from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.threads import in_threads
 

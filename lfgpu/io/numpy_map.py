@@ -12,7 +12,7 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import UNKNOWN_IS_NAN, map_about, map_of, parse_about
 from lfgpu.io.folders import head
-from lfgpu.io.numpy_arrays import MAGIC, header, load_arrays
+from lfgpu.io.numpy_file import MAGIC, header, load_arrays
 from lfgpu.io.results import (
     arrays_of_result,
     arrays_of_views,

@@ -17,7 +17,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION, DAMAGE, geometry_about, geometry_of
 from lfgpu.io.atomic import atomic_write
 from lfgpu.io.folders import not_waited_for
-from lfgpu.io.numpy_arrays import load_arrays
+from lfgpu.io.numpy_file import load_arrays
 from lfgpu.methods import METHODS
 from lfgpu.printable import printable
 

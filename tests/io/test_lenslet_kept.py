@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from lfgpu.data.lightfield import LightField
-from lfgpu.io.lenslet import kept as module
-from lfgpu.io.lenslet.kept import folder, kept
+from lfgpu.io.lenslet import entry as module
+from lfgpu.io.lenslet.entry import folder, kept
 
 made: list[str] = []
 

@@ -21,8 +21,7 @@ from samples import refusal, refused_or_not
 from lfgpu.io import parallax, read, read_map, recognise
 from lfgpu.io.lytro import inside
 from lfgpu.io.lytro.contents import read_contents
-from lfgpu.io.lytro.pictures import confidence_table, decoded, depth_table
-from lfgpu.io.lytro.reader import write_contents
+from lfgpu.io.lytro.reader import confidence_table, decoded, depth_table, write_contents
 
 DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 IMAGES = np.random.default_rng(0).integers(0, 256, (3, 16, 24, 3), np.uint8)

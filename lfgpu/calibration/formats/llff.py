@@ -11,7 +11,7 @@ import numpy as np
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats.entries import entries_of, numbers
 from lfgpu.errors import LightFieldError
-from lfgpu.io.numpy_arrays import load_arrays
+from lfgpu.io.numpy_file import load_arrays
 
 
 def read_llff(path: Path) -> tuple[list[Camera], tuple[float, float]]:

@@ -12,9 +12,8 @@ from lfgpu.io.damage import read_as
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet.vignetting import Float32Array
-from lfgpu.io.lytro.camera import Camera
 from lfgpu.io.lytro.container import is_container, is_sound
-from lfgpu.io.lytro.contents import Contents, read_contents
+from lfgpu.io.lytro.contents import Camera, Contents, read_contents
 from lfgpu.io.texts import Members
 
 _SIDES = (8, 32768)  # pixels that a container may claim

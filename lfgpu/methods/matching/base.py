@@ -1,4 +1,7 @@
-"""The interfaces of what the table of sweeps names: costs and aggregations. `views.ViewRule` is that of view rules."""
+"""The interfaces of what the table of sweeps names, costs and aggregations, and a mean that passes share.
+
+`views.ViewRule` is the interface of view rules.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Protocol
 
-from lfgpu.contract import Array
+from lfgpu.contract import Array, KernelSet
 
 
 class Cost(Protocol):
@@ -66,3 +69,12 @@ class Aggregation(ABC):
     @abstractmethod
     def __call__(self, swept: Swept, disparity_out: Array) -> None:
         """Find the disparity [y, x] of each pixel, pixels per view step."""
+
+
+def square_mean(kernels: KernelSet, values: Array, *, reach: int, workspace: Array, means_out: Array) -> None:
+    """Average each pixel of a map [y, x] and the pixels at most `reach` rows and columns from it.
+
+    Only pixels in the image count. `values`, `workspace` [y, x] and `means_out` are different fields.
+    """
+    kernels.line_mean(values, axis=0, reach=reach, means_out=workspace)
+    kernels.line_mean(workspace, axis=1, reach=reach, means_out=means_out)

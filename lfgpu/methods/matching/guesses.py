@@ -10,7 +10,7 @@ import math
 
 from lfgpu.contract import Array, Disparities
 from lfgpu.methods.arena import Arena
-from lfgpu.methods.matching.square_mean import square_mean
+from lfgpu.methods.matching.base import square_mean
 
 _AROUND = 4  # pixels on each side of a guessed pixel, most of which are uneven
 _MOST = 0.7  # share of uneven pixels around a guessed one: along an outline or a thin bar it is smaller

@@ -7,7 +7,7 @@ import numpy as np
 from lfgpu.contract import Array, Float32Array
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching import trust
-from lfgpu.methods.matching.square_mean import square_mean
+from lfgpu.methods.matching.base import square_mean
 
 FEATURES = ("conflict", "evidence", "bend", "relief", "wide", "cost")
 """The maps on which confidence and variance depend, in the order of `KernelSet.judge`."""

@@ -11,8 +11,7 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_noise
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.synthesis.config import SynthesisConfig
-from lfgpu.methods.synthesis.plan import SynthesisPlan
-from lfgpu.methods.synthesis.units import spread
+from lfgpu.methods.synthesis.plan import SynthesisPlan, spread
 
 _NOISE_SWEEP = MatchingConfig().with_tuning(  # in units of its costs parameters are chosen
     {"sweep.gradient_weight": 2.0, "sweep.view_set_angle": 90.0}

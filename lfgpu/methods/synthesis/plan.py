@@ -5,12 +5,15 @@ the gaps from similar pixels nearby. `refine` changes the map until it predicts 
 prior; with `refinement.acceptance` "by-pixel" each pixel takes of that what makes the views agree better.
 """
 
-import dataclasses
+from dataclasses import fields, replace
+from typing import Any
 
 import numpy as np
 
+from lfgpu.config import Section
 from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients
 from lfgpu.data.layout import ViewLayout
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.measured import Measured
@@ -21,10 +24,74 @@ from lfgpu.methods.synthesis.config import SynthesisConfig, SynthesisPriorConfig
 from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
 from lfgpu.methods.synthesis.propagation import Propagation
-from lfgpu.methods.synthesis.units import in_units_of, noise_in_units
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 from lfgpu.solvers.lbfgsb import ScipyLbfgsb
 from lfgpu.solvers.solution import Solution
+
+USUAL_NOISE = 0.004  # intensity: what the defaults are meant for
+_MOST_NOISE = 5.0  # in units of that
+
+
+def spread(lf: LightField, patch: int) -> tuple[float, float]:
+    """Standard deviations of the colours and of the gradients of the reference view, intensity (paper, eq. 2).
+
+    The gradients are the differences I(p) - I(p') between a pixel and the others of its patch of side `patch`. A
+    variance is the mean over the channels of the variances of each. Masked pixels do not count. At least 1e-6.
+    """
+    image = lf.image(lf.reference_index).astype(np.float64)
+    if lf.valid is not None:
+        image = np.where(lf.valid[lf.reference_index][..., None], image, np.nan)
+    radius, (height, width) = patch // 2, lf.size
+    total, square, count = np.zeros(lf.channels), np.zeros(lf.channels), 0
+    for dy, dx in np.ndindex(patch, patch):
+        dy, dx = dy - radius, dx - radius
+        if (dy, dx) == (0, 0):
+            continue
+        here = image[max(0, -dy) : height - max(0, dy), max(0, -dx) : width - max(0, dx)]
+        beside = image[max(0, dy) : height + min(0, dy), max(0, dx) : width + min(0, dx)]
+        apart = (here - beside)[np.isfinite(here - beside).all(2)]
+        total, square, count = total + apart.sum(0), square + (apart**2).sum(0), count + len(apart)
+    gradients = (square / max(count, 1) - (total / max(count, 1)) ** 2).mean()
+    colours = np.nanvar(image, axis=(0, 1)).mean() if np.isfinite(image).any() else 0.0
+    return float(max(np.sqrt(colours), 1e-6)), float(max(np.sqrt(gradients), 1e-6))
+
+
+def in_units_of(measured: Measured, config: SynthesisConfig) -> SynthesisConfig:
+    """Scale differences of intensity in the parameters to the units that `prior.sigma_unit` names.
+
+    With "noise" these, and `refinement.longest_change`, grow in proportion to the noise, from 0.004 to 0.02.
+    """
+    prior, refinement = config.prior, config.refinement
+    colour, gradient = 1.0, 1.0
+    if prior.sigma_unit == "image":
+        assert measured.spread is not None  # it was measured then
+        colour, gradient = measured.spread
+    elif prior.sigma_unit == "noise":
+        assert measured.noise is not None
+        times = noise_in_units(measured)
+        colour = gradient = times
+        refinement = _with(
+            refinement,
+            contrast_floor=times * refinement.contrast_floor,
+            longest_change=times * refinement.longest_change,
+        )
+    prior = _with(prior, sigma_color=colour * prior.sigma_color, sigma_gradient=gradient * prior.sigma_gradient)
+    return replace(config, prior=prior, refinement=refinement)
+
+
+def noise_in_units(measured: Measured) -> float:
+    """Return the noise in units of the usual one, 1 to 5; 1 if it was not measured."""
+    return min(max((measured.noise or 0.0) / USUAL_NOISE, 1.0), _MOST_NOISE)
+
+
+def _with(section: Any, **values: float) -> Any:
+    """Parameters changed, as far as their ranges go."""
+    assert isinstance(section, Section)
+    ranges = {f.name: f.metadata for f in fields(section)}
+    return replace(
+        section, **{name: min(max(v, ranges[name]["low"]), ranges[name]["high"]) for name, v in values.items()}
+    )
+
 
 _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
 
@@ -116,8 +183,8 @@ class SynthesisPlan:
         0 to 1 (paper, figure 1).
         """
         found: dict[str, Float32Array] = {}
-        for line, fields in self._local.by_line.items():
-            disparity, coherence = (self._map(field) for field in fields)
+        for line, maps in self._local.by_line.items():
+            disparity, coherence = map(self._map, maps)
             found[f"local_{line}"] = np.where(coherence > 0, disparity, np.float32(np.nan))
             found[f"coherence_{line}"] = self._where_known(coherence)
         local, coherence = self._map(self._local.disparity), self._map(self._local.coherence)
@@ -143,7 +210,7 @@ class SynthesisPlan:
         """Report the outcome of the solvers in the last run; the trace is the energy of the refinement."""
         refined = self._refinement.report()
         status = f"Propagation: {self._propagation.report().status} Refinement: {refined.status}"
-        return dataclasses.replace(refined, status=status)
+        return replace(refined, status=status)
 
     def _fill(self, views: Array, callback: Callback | None) -> None:
         self._kernels.intensities(
