@@ -68,7 +68,7 @@ def train(
 
     from lfgpu.cli.console import heading, lines, output
     from lfgpu.io import check_writable, read
-    from lfgpu.io.extras import how_to_install
+    from lfgpu.io.damage import how_to_install
     from lfgpu.methods.matching.learned import BUILT_IN, read_weights
 
     if out.suffix != ".npz":

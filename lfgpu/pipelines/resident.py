@@ -150,4 +150,3 @@ def kept_memory() -> int:
     0
     """
     return KEPT.bytes
-
