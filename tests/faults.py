@@ -521,7 +521,7 @@ FAULTS = (
     ),
     Fault(
         "turned views that spread disparities the other way",
-        "lfgpu/cameras/looking.py",
+        "lfgpu/cameras/trust.py",
         "(turn * shift[:, 1]).mean() - y *",
         "(turn * shift[:, 1]).mean() + y *",
         ("tests/calibration/test_trust.py", "-k", "spread"),

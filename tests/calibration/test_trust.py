@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import Misalignment, disturb
-from lfgpu.cameras.looking import _spread
+from lfgpu.cameras.trust import _spread
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
