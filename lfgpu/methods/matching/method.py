@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
