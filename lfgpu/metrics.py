@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.data.result import DepthResult, DisparityMap
@@ -407,6 +406,7 @@ def _share(
 
 def bumpiness(error: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the Frobenius norm of the second derivatives of the error times 100, cut off at 5."""
+    from scipy import ndimage  # slow to import, and rarely needed
 
     # The Scharr operator: differences along one axis, means of 3, 10 and 3 sixteenths across.
     def derivative(image: NDArray[np.float64], axis: int) -> NDArray[np.float64]:

@@ -152,7 +152,7 @@ def test_a_report_shows_all_items(scene_folders: Path, finished: Path) -> None:
     assert "66.67 % done" in page
     assert "preset" not in page, "nobody said which"
     assert page.index("scene_2") < page.index("scene_0"), "failed ones come first"
-    assert page.count('loading="lazy"') == 2 * 4, "a view and a map of each"
+    assert page.count('loading="lazy"') == 3 * 4, "a view, a map and its error of each"
     for target in re.findall(r'(?:src|href)="([^"]+)"', page):
         assert (finished / target).exists(), target
 

@@ -26,9 +26,9 @@ def greys(picture: Image.Image) -> int:
 
 
 def test_compared_maps_share_a_scale_and_errors_have_zero_in_the_middle() -> None:
-    """An error of 0.17 everywhere is 0.17 of 0.2, an error scale that ends at one digit; the truth has no error."""
-    sheet = np.asarray(overview(np.zeros((*SHAPE, 3)), ramp() + 0.17, ramp(), title="a title"))
-    wanted = painted(np.full((1, 1), 0.17, np.float32), LOOKS["error"].colours, (-0.2, 0.2))[0, 0]
+    """An error of 0.05 everywhere is 0.05 of 0.07, at which all scales of errors end; the truth has no error."""
+    sheet = np.asarray(overview(np.zeros((*SHAPE, 3)), ramp() + 0.05, ramp(), title="a title"))
+    wanted = painted(np.full((1, 1), 0.05, np.float32), LOOKS["error"].colours, (-0.07, 0.07))[0, 0]
     size = math.ceil(900 / max(SHAPE))
     assert (sheet == wanted).all(axis=2).sum() >= SHAPE[0] * SHAPE[1] * size**2
     lowest = painted(np.full((1, 1), -1.0, np.float32), "viridis", (-1.0, 2.0))[0, 0]

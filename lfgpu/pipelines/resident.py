@@ -137,6 +137,7 @@ def set_kept_memory(limit: str | float) -> None:
     >>> lfgpu.set_kept_memory(0)
     >>> lfgpu.kept_memory()
     0
+    >>> lfgpu.set_kept_memory("2GiB")
     """
     KEPT.limit(0 if limit == 0 else parse_memory(limit))
 

@@ -134,7 +134,7 @@ def test_a_slanted_lattice_is_counted_from_any_lens() -> None:
 def test_what_the_camera_says_of_its_lattice_goes_before_the_spectrum(monkeypatch: pytest.MonkeyPatch) -> None:
     true = lattice(10.0, 0.11, square=False)
     picture = spots(true, (512, 540))
-    monkeypatch.setattr("lfgpu.io.lenslet.lattice.find_peaks", lambda picture: None)
+    monkeypatch.setattr("lfgpu.io.lenslet.microlenses.find_peaks", lambda picture: None)
     assert off_centres(find_microlenses(picture, name="it", expected=true), true, picture.shape) < 0.05
     monkeypatch.undo()
     other = lattice(14.3, -3, square=False)  # of another camera
