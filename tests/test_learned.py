@@ -104,7 +104,7 @@ def test_maps_are_those_of_pytorch(rng: np.random.Generator) -> None:
     scale = trained.brightness(reference)
     from lfgpu.training.sectors import sector_costs
 
-    first, steps = torch.tensor([-2.0]), torch.tensor([STEP])
+    first, steps = torch.full((1, *SIZE), -2.0), torch.tensor([STEP])
     costs = sector_costs(
         others * scale, reference * scale, offsets[order], starts, margin=0, first=first, steps=steps, count=COUNT
     )
