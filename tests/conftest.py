@@ -199,18 +199,21 @@ def _scenes_are_drawn_once(request: pytest.FixtureRequest, tmp_path_factory: pyt
     kept = cache.mkdir("scenes") if cache else tmp_path_factory.mktemp("scenes")
     for other in {*kept.iterdir()} - {kept / state}:
         shutil.rmtree(other, ignore_errors=True)
-    (kept / state).mkdir(exist_ok=True)
 
     @wraps(draw)
     def record(scene: Any, recording: Any, time: float, displaced: Any = None) -> LightField:
         moved = None if displaced is None else displaced.tolist()
         named = repr((scene.name, scene.grid, scene.frame, scene.seed, recording, time, moved))
         file = kept / state / sha256(named.encode()).hexdigest()
-        if not file.exists():
+        try:
+            content = file.read_bytes()
+        except FileNotFoundError:  # another run, of another NumPy, may have removed the folder, too
+            content = pickle.dumps(draw(scene, recording, time, displaced))
+            file.parent.mkdir(parents=True, exist_ok=True)
             written = file.with_name(secrets.token_hex(8))
-            written.write_bytes(pickle.dumps(draw(scene, recording, time, displaced)))
+            written.write_bytes(content)
             written.replace(file)
-        found: LightField = pickle.loads(file.read_bytes())
+        found: LightField = pickle.loads(content)
         return found
 
     with pytest.MonkeyPatch.context() as patch:
