@@ -36,7 +36,7 @@ SAME = {
         "splat": 2,
         "structure_tensor": 2,
         "vector": 2,
-        "motion": 7,
+        "motion": 6,
         "streaming": 8,
         "sectors": 1,
         "convolution": 1,
