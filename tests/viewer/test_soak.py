@@ -11,7 +11,7 @@ from tests.viewer.soak import Sample, flat, soak
 
 @pytest.mark.thorough
 def test_tabs_that_close_leave_nothing_behind(browser: Any) -> None:
-    found = soak(browser, 0, 16)
+    found = soak(browser, 0, 32)
     assert flat(found) == "", found
 
 
