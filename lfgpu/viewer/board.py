@@ -58,7 +58,7 @@ class Board:
         self.newest: str | None = None
         """The map that came last; pages select it."""
         self.loading: tuple[str, float] | None = None
-        """What is being read or drawn, and since when (`perf_counter`); None if nothing is."""
+        """The picture that is being read or drawn, and since when (`perf_counter`); None if there is none."""
         self.stream = Stream()
         self.switches: dict[str, Switch] = {}
         """What pages may switch of a stream: "pause", "record"."""
