@@ -10,26 +10,39 @@ from unittest.mock import patch
 
 import numpy as np
 
+from benchmarks import clock
 from benchmarks.options import DeviceName, Out, Presets, collected, listed, say
 from benchmarks.tables import NONE, Table
 from lfgpu import DepthPipeline, LightField, estimate_depth, scenes
-from lfgpu._backends import open_device
-from lfgpu.cameras import looking
+from lfgpu._backends import load, open_device
+from lfgpu.cameras import looking, screening
+from lfgpu.contract import Device
 from lfgpu.data.result import DepthResult
+from lfgpu.methods import base
 from lfgpu.methods.base import Method
+from lfgpu.methods.matching import method
 from lfgpu.pipelines import resident, verdict
 
 _PARTS: dict[str, tuple[Any, str]] = {
     "take": (DepthPipeline, "take"),
+    "upload": (load(), "upload"),
     "measure": (Method, "measure"),
+    "range": (base, "find_disparity_range"),
+    "grain": (method, "measured_grain"),
+    "noise": (method, "measured_noise"),
     "plan": (DepthPipeline, "_replan"),
+    "capture": (load(), "capture"),
     "estimate": (DepthPipeline, "estimate"),
     "result": (DepthPipeline, "result"),
     "verdict": (verdict, "verdict_of"),
     "screen": (looking, "worth_a_look"),
+    "points": (screening, "some_on_surfaces"),
+    "off": (screening, "_may_be_off"),
+    "swapped": (screening, "_may_be_swapped"),
 }
-"""Parts: views are uploaded, measured and planned for while the pipeline takes them; the result is copied at the end of
-the estimate; cameras are screened for the verdict."""
+"""Functions that are timed. Views are uploaded, measured (range, grain, noise) and planned for while the pipeline takes
+them; work is captured, and the result copied, within the estimate; cameras are screened for the verdict, at points, for
+views that may be off, and beside that for swapped axes."""
 
 
 def command(presets: Presets = "fast,accurate,learned", device: DeviceName = None, out: Out = None) -> None:
@@ -47,14 +60,14 @@ def run(presets: Sequence[str], device: str | None, side: int = 512, views: int 
         timed = [(call, lf, *_timed(lf, preset, name)) for call, lf in calls.items()]
         resident.KEPT.free()
         pipeline = DepthPipeline(one, config=preset, device=name)  # type: ignore[arg-type]
-        rounds = min(_round(pipeline, one) for _ in range(8))
+        rounds = {"pipeline": min(_round(pipeline, one) for _ in range(8)), **_asked(pipeline)}
         del pipeline
         for call, lf, milliseconds, found in timed:
             resident.KEPT.free()
             alone = estimate_depth(lf, config=preset, device=name)  # type: ignore[arg-type]
             maps = ((getattr(found, f), getattr(alone, f)) for f in ("disparity", "confidence", "uncertainty"))
             same = all(np.array_equal(*pair, equal_nan=True) for pair in maps)
-            yield {"preset": preset, "call": call, **milliseconds, "pipeline": rounds, "same map": same}
+            yield {"preset": preset, "call": call, **milliseconds, **rounds, "same map": same}
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
@@ -63,7 +76,7 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     def of(name: str) -> Callable[[dict[str, Any]], str]:
         return lambda row: f"{row[name]:.1f}" if name in row else NONE
 
-    columns = {name: of(name) for name in ("all", *_PARTS, "pipeline")}
+    columns = {name: of(name) for name in ("all", *_PARTS, "pipeline", *_ASKED)}
     words = {name: lambda row, name=name: str(row[name]) for name in ("preset", "call", "same map")}
     return Table.of("milliseconds", 3, rows, {**words, **columns})
 
@@ -75,6 +88,20 @@ def _round(pipeline: DepthPipeline, lf: LightField) -> float:
     pipeline.run()
     pipeline.disparity()
     return 1e3 * (perf_counter() - start)
+
+
+_ASKED = "asked", "done"
+
+
+def _asked(pipeline: DepthPipeline) -> dict[str, float]:
+    """Time all stages, asked for one operation at a time: until the last one is asked for, and until it is done."""
+    stop = clock.stopper(Device(pipeline.kernels, pipeline.device))
+    stop()
+    start = perf_counter()
+    pipeline.work()
+    asked = perf_counter()
+    stop()
+    return dict(zip(_ASKED, (1e3 * (asked - start), 1e3 * (perf_counter() - start)), strict=True))
 
 
 def _timed(lf: LightField, preset: str, device: str) -> tuple[dict[str, float], DepthResult]:
