@@ -115,13 +115,7 @@ class Table:
 
 
 def table(scenes: Sequence[Scene]) -> Table:
-    """Score all methods on all scenes. Averages are over the scenes for which every method has a map.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no scene, or a map and its ground truth differ in size.
-    """
+    """Score all methods on all scenes. Averages are over the scenes for which every method has a map."""
     methods = tuple(dict.fromkeys(method for scene in scenes for method in scene.maps))
     return table_of(methods, {scene.name: scene.scores() for scene in scenes})
 

@@ -28,13 +28,7 @@ def choice(default: str, choices: tuple[str, ...], doc: str) -> Any:
 
 @dataclass(frozen=True)
 class Section:
-    """Parameters of one stage: a frozen dataclass whose fields come from `number` and `choice`.
-
-    Raises
-    ------
-    LightFieldError
-        If a value has the wrong type or lies out of its range.
-    """
+    """Parameters of one stage: a frozen dataclass of fields from `number` and `choice`, whose values are checked."""
 
     def __post_init__(self) -> None:
         for f in dataclasses.fields(self):
@@ -53,31 +47,16 @@ class Section:
 
 
 def tuned(value: float | str, unit: str, reason: str, *, ablation: str = "") -> Any:
-    """Define a number of a `Tuning`.
+    """Define a number of a `Tuning`, or the name of a rule: its unit, what it is, and why it has this value.
 
-    Parameters
-    ----------
-    value
-        The number, or the name of a rule.
-    unit
-        Its unit; "" if it has none.
-    reason
-        What it is, and why it has this value.
-    ablation
-        The variant in `benchmarks/results/ablation.json` that shows what it is worth; "" if none does.
+    `ablation` is the variant in `benchmarks/results/ablation.json` that shows what it is worth; "" if none does.
     """
     return field(default=value, metadata={"unit": unit, "reason": reason, "ablation": ablation})
 
 
 @dataclass(frozen=True)
 class Tuning:
-    """Numbers of a method that users do not set: frozen dataclasses of `tuned` fields, by section.
-
-    Parameters
-    ----------
-    name
-        The name under which files refer to these numbers; "" if they were changed.
-    """
+    """Numbers of a method that users do not set, by section; `name` is theirs in files, "" if they were changed."""
 
     name: str
 
@@ -216,13 +195,6 @@ def restored(values: Mapping[str, Any], presets: Mapping[str, Config]) -> Config
 
     The preset with most values in common is taken. It gives what the file lacks; values that this version does not have
     are left out.
-
-    Raises
-    ------
-    LightFieldError
-        If a value is out of range.
-    TypeError
-        If a section is not a dictionary.
     """
 
     def own(config: Config) -> Iterator[tuple[str, Any]]:

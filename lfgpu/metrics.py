@@ -143,15 +143,7 @@ class Sparsification:
 
 
 def other_unit(disparity: ArrayLike, truth: ArrayLike, *, mask: ArrayLike | None = None) -> str | None:
-    """Say in a sentence if a map is the truth of the opposite sign or in another unit; None if it is not, or is right.
-
-    Parameters
-    ----------
-    disparity, truth
-        [y, x]; NaN or infinite where undefined.
-    mask
-        bool [y, x], True where pixels count. Default: everywhere.
-    """
+    """Say in a sentence if a map is the truth of the opposite sign or in another unit; None if it is not."""
     found, true = np.asarray(disparity, np.float64), np.asarray(truth, np.float64)
     if found.shape != true.shape or found.ndim != 2:
         return None
@@ -259,21 +251,8 @@ def reliability(
 ) -> Reliability:
     """Compute which share of the pixels of each confidence is right, in ten bins of equal width.
 
-    Undefined disparities are wrong. Pixels whose confidence is NaN are left out.
-
-    Parameters
-    ----------
-    disparity, truth, mask, border
-        As for `evaluate`.
-    confidence
-        0 to 1, of the same shape.
-    threshold
-        Pixels with |error| <= threshold are right; pixels per view step, >= 0, default 0.07.
-
-    Raises
-    ------
-    LightFieldError
-        As `sparsification`; if the confidence is not from 0 to 1.
+    Right are pixels with |error| <= threshold, pixels per view step. Undefined disparities are wrong. Pixels whose
+    confidence is NaN are left out. LightFieldError as `sparsification`, or if the confidence is not from 0 to 1.
     """
     errors, said = _with_confidence(disparity, confidence, truth, mask, border, threshold)
     stated = np.isfinite(said)
@@ -430,29 +409,10 @@ REGION_METRICS = (
 def evaluate_regions(
     disparity: ArrayLike, truth: ArrayLike, masks: Mapping[str, NDArray[np.bool_]], *, border: int = BORDER
 ) -> dict[str, float]:
-    """Score a disparity map in the parts of a scene that masks name.
+    """Score a disparity map [y, x], NaN where it is undefined, in the parts of a scene that masks name.
 
-    Parameters
-    ----------
-    disparity
-        The estimate, [y, x], pixels per view step; NaN where it is undefined.
-    truth
-        The truth, same shape and unit.
-    masks
-        bool [y, x] by the benchmark's names: "discontinuities", "planes", "smooth_surfaces", "fine_surrounding",
-        "fine"; any of them may be missing.
-    border
-        Pixels at each side that are left out, >= 0.
-
-    Returns
-    -------
-    The values by the names of `REGION_METRICS`, of those whose mask is there and not empty; NaN where nothing of the
-    estimate is defined.
-
-    Raises
-    ------
-    LightFieldError
-        If shapes differ.
+    Masks have the benchmark's names: "discontinuities", "planes", "smooth_surfaces", "fine_surrounding", "fine"; any
+    may be missing. Returns the values of `REGION_METRICS` whose mask is there and not empty.
     """
     error = np.asarray(disparity, np.float64) - np.asarray(truth, np.float64)
     inside = np.zeros(error.shape, np.bool_)

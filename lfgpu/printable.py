@@ -7,19 +7,11 @@ _JOINERS = "\u200c\u200d"  # invisible, but letters of Persian, Hindi and others
 
 
 def printable(text: str, *, keep: str = "", longest: int | None = None) -> str:
-    r"""Write out everything in a text that is not seen: the escape character becomes "\x1b".
+    r"""Write out everything in a text that is not seen, but for `keep`: the escape character becomes "\x1b".
 
     Terminals obey control characters, letters of the other direction can turn a name round, and half of a character
-    beyond 16 bits (bytes of a name that are not UTF-8) cannot be encoded. Accents, other scripts and emoji stay.
-
-    Parameters
-    ----------
-    text
-        Any text.
-    keep
-        Characters that stay as they are, "\n" for example.
-    longest
-        The most characters of what is returned; the middle of a longer text becomes an ellipsis. None leaves all.
+    beyond 16 bits (bytes of a name that are not UTF-8) cannot be encoded. Accents, other scripts and emoji stay. The
+    middle of a text with more than `longest` characters becomes an ellipsis.
     """
     kept = keep + _JOINERS
     if longest is None or len(text) <= longest:

@@ -25,32 +25,16 @@ _INSTALL = (
 
 @dataclass(frozen=True)
 class VulkanDevice:
-    """A GPU with a Vulkan driver, or a driver that computes on the CPU.
+    """A GPU with a Vulkan driver, or a driver that computes on the CPU."""
 
-    Parameters
-    ----------
-    number
-        Its place in the loader's list.
-    name, driver
-        The names of the product and of the driver, with its version.
-    type
-        Vulkan's number of the type of device.
-    memory, largest
-        Bytes of its largest heap of near memory, and of the largest array.
-    lacks
-        Features that kernels need and that the driver has not.
-    has_doubles
-        True if it computes in float64.
-    """
-
-    number: int
-    name: str
-    driver: str
-    type: int
-    memory: int
-    largest: int
-    lacks: tuple[str, ...]
-    has_doubles: bool
+    number: int  # its place in the loader's list
+    name: str  # of the product
+    driver: str  # its name, with the version
+    type: int  # Vulkan's number of the type of device
+    memory: int  # bytes of its largest heap of near memory
+    largest: int  # bytes of the largest array
+    lacks: tuple[str, ...]  # features that kernels need and that the driver has not
+    has_doubles: bool  # True if it computes in float64
 
     @property
     def is_software(self) -> bool:
@@ -60,13 +44,7 @@ class VulkanDevice:
 
 @cache
 def choose() -> VulkanDevice:
-    """Choose the best device, or the one whose number is in the environment variable TI_VISIBLE_DEVICE.
-
-    Raises
-    ------
-    BackendError
-        If there is no loader, no driver or no device of that number, or if the driver lacks what kernels need.
-    """
+    """Choose the best device that has what kernels need, or the one that TI_VISIBLE_DEVICE numbers."""
     devices = tuple(_devices())
     if not devices:
         raise BackendError(f"Vulkan's loader finds no driver of a GPU; {_INSTALL}")

@@ -38,10 +38,7 @@ def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
 
 @once
 def sweep_kernel(channels: int, stored: Any, gradients: bool, rooted: bool, penalty: float) -> Any:
-    """`penalty` is that of all view sets but the first, besides their preference.
-
-    Without `gradients`, their weight must be 0; `rooted` if there is a softness.
-    """
+    """Return the kernel. Without `gradients` their weight must be 0; `penalty` is of all view sets but the first."""
     numbers = {"CHANNELS": channels, "STRIP": _STRIP, "LANES": LANES, "PENALTY": penalty}
     numbers |= {"GRADIENTS": int(gradients), "ROOTED": int(rooted)}
     module = f"lfgpu_plane_sweep_{channels}_{stored.__name__}_{gradients:d}{rooted:d}"

@@ -42,10 +42,7 @@ def mark_kernel(channels: int, stored: Any) -> Any:
 def sweep_kernel(
     channels: int, stored: Any, sets: int, seen: bool, gradients: bool, rooted: bool, set_penalty: float
 ) -> Any:
-    """Return the kernel for so many view sets; if `seen`, the views that see a pixel past a surface are the only one.
-
-    Without `gradients`, their weight must be 0; `rooted` if there is a softness.
-    """
+    """Return the kernel for so many view sets, or, if `seen`, for the views that see a pixel past a surface."""
     kept = kept_type(channels, stored)
     numbers = {
         "CHANNELS": channels,

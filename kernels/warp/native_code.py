@@ -122,15 +122,10 @@ def names_of(pixel: Any) -> dict[str, Any]:
 
 
 def function(file: str, name: str, **given: Any) -> Any:
-    """Make a function of a file of `native`, for kernels in Warp's language.
+    """Make a function of a file of `native`, for kernels in Warp's language; `given` is what it is specialised for.
 
-    Parameters
-    ----------
-    file, name
-        The file, and the name of the function in it.
-    given
-        What it is specialised for: Warp's types by the names that the arguments have for them, and numbers by the names
-        that stand for them, which are defined for the preprocessor. A tuple is several numbers, text is C++.
+    Warp's types stand by the names that the arguments have for them, and numbers by the names that are defined for the
+    preprocessor. A tuple is several numbers, text is C++.
     """
     types, numbers = _split(given)
     arguments = _parts(file)[name].arguments
@@ -140,18 +135,11 @@ def function(file: str, name: str, **given: Any) -> Any:
 
 
 def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] | None = None, **given: Any) -> Any:
-    """Make a kernel that is a function of a file of `native`.
+    """Make a kernel that is a function of a file of `native`, specialised as by `function`.
 
     An argument `int tid` at the beginning is the index of the thread; the others are given when it is launched.
-
-    Parameters
-    ----------
-    module
-        Name of the module of Warp that it is compiled in: one for each specialisation.
-    launch_bounds
-        Threads of a block on a GPU, and blocks that a multiprocessor is to hold at once.
-    file, name, given
-        As those of `function`.
+    `module` is the module of Warp that it is compiled in, one for each specialisation; `launch_bounds` are the threads
+    of a block on a GPU, and the blocks that a multiprocessor is to hold at once.
     """
     types, _ = _split(given)
     native = function(file, name, **given)

@@ -230,13 +230,7 @@ def nlm_weights(
 
 
 class _CpuWeights:
-    """Weights of images [y, x, c] of one size, at the places `steps` of a half window.
-
-    Parameters
-    ----------
-    color, gradient
-        What colours and their differences are multiplied by.
-    """
+    """Weights of images [y, x, c] of one size, at the places `steps` of a half window."""
 
     def __init__(
         self,

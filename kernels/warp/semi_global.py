@@ -97,11 +97,7 @@ def _on_gpu(volume: Any, inputs: list[Any], sum_out: Any) -> None:
 
 
 def _room_of(sum_out: Any) -> Any:
-    """Return memory for the costs of changes and for turned volumes: the costs, and as many directions as fit, at least
-    one.
-
-    The memory lives as long as the sums. It is made when first needed, as captured work must not allocate.
-    """
+    """Return memory for costs of changes and turned volumes of as many directions as fit; it lives with the sums."""
     if not hasattr(sum_out, "lfgpu_room"):
         count, size = len(_DIRECTIONS), sum_out.size
         volumes = 1 + min(count, max(1, _ROOM // (4 * size) - 1))

@@ -138,19 +138,10 @@ def _view(field: Any, token: _Token) -> Any:
 
 
 class Transport:
-    """One stream's traffic.
+    """One stream's traffic: views [n, y, x] of pixels to the device, `sources` (two fields, two numbers) back.
 
-    Parameters
-    ----------
-    views
-        What the method reads, [n, y, x] of pixels as stored.
-    sources
-        Disparity and confidence, fields [y, x], and two numbers of the method.
-    reference, scale, tolerance
-        Index of the reference view; what stored values are multiplied with; mean difference over the channels,
-        intensity, from which on a sample has changed.
-    results
-        How many results there are memory for at first.
+    `scale` multiplies stored values; samples of the reference change by more than `tolerance`, the mean difference over
+    the channels. There is memory for `results` results at first.
     """
 
     def __init__(

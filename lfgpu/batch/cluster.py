@@ -58,28 +58,10 @@ class _Task:
 
 
 class Cluster:
-    """A local cluster, or an existing cluster with a scheduler. Use it in a `with` block.
+    """A local cluster of `workers` processes, or the existing cluster of a `scheduler`. Use it in a `with` block.
 
-    Parameters
-    ----------
-    scheduler
-        Address such as tls://host:8786, or tcp:// in a network of one's own; None starts workers on this machine.
-    workers
-        Number of worker processes of a local cluster, >= 1; default 1.
-    devices
-        Devices that are assigned to the workers in turn. Default: each worker picks its own.
-    threads
-        CPU threads per worker; None (default) leaves the number to the workers.
-    retries
-        How often an item is tried again after its worker died or ran out of memory, or the scheduler was lost.
-        Default 3.
-    item_timeout
-        Seconds after which an item is given up, and its worker started anew: no file may stop the rest.
-
-    Raises
-    ------
-    BatchError
-        If Dask is not installed, or the scheduler does not answer.
+    Workers take the `devices` in turn. An item whose worker dies is tried again `retries` times; after `item_timeout`
+    seconds it is given up, and its worker started anew. BatchError if Dask is missing or the scheduler does not answer.
     """
 
     def __init__(
@@ -171,19 +153,8 @@ class Cluster:
     ) -> None:
         """Run all jobs. Those of a sequence run in order, and on one worker while it lives.
 
-        Parameters
-        ----------
-        sequences
-            The jobs of each sequence, in order. A single job is a sequence of one.
-        done
-            Called with the manifest entries of jobs that ended, before new jobs start.
-        tick
-            Called a few times a second with the number of jobs that can run at the same time.
-
-        Raises
-        ------
-        BatchError
-            If the scheduler is lost and does not come back.
+        `done` takes the manifest entries of jobs that ended, before new jobs start; `tick` takes the number of jobs
+        that can run at the same time, a few times a second. BatchError if the scheduler is lost and does not come back.
         """
         waiting = deque(_Task(jobs[0], deque(jobs[1:])) for jobs in map(list, sequences) if jobs)
         suspects: deque[_Task] = deque()

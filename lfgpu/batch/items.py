@@ -33,24 +33,12 @@ _OF_OUTPUTS = (MANIFEST_FILE, RESULT_FILE)  # files that mark a folder as an out
 
 @dataclass(frozen=True)
 class Item:
-    """One light field of a batch.
+    """One light field of a batch."""
 
-    Parameters
-    ----------
-    name
-        The name of its folder below the output folder.
-    source
-        The path that it is read from.
-    sequence
-        The sequence that it is a frame of; "" (default) if of none.
-    frame
-        Index of its time where the path holds several times for each camera; None (default) where it does not.
-    """
-
-    name: str
-    source: str
-    sequence: str = ""
-    frame: int | None = None
+    name: str  # its folder below the output folder
+    source: str  # the path that it is read from
+    sequence: str = ""  # the sequence that it is a frame of
+    frame: int | None = None  # index of its time where the path holds several times for each camera
 
 
 def find_items(
@@ -62,36 +50,13 @@ def find_items(
     frame: int | None = None,
     leave_out: Path | None = None,
 ) -> tuple[list[Item], list[Path]]:
-    """Find the light fields that inputs name.
+    """Find the light fields that inputs name, and the folders in which there is none.
 
-    Parameters
-    ----------
-    inputs
-        Light fields, folders that hold light fields at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
-    sequence
-        True: the light fields of a folder are the frames of a sequence, in natural order of their names.
-    format_name
-        Format of all light fields. Then each path that an input names is a light field. Default None: light fields are
-        recognised.
-    pattern
-        Pattern of the names of the views, as `lfgpu.read` takes it; then each path that an input names is a light
-        field, too. Default None.
-    frame
-        The only time that is wanted of folders that hold several. Default None: each of them is an item.
-    leave_out
-        The output folder, which is not searched. Default None.
-
-    Returns
-    -------
-    The items, and the folders in which no light field was found.
-
-    Whatever cannot be looked at (a folder without permission, a link in a circle) is one of the items: who reads it
-    says what is wrong with it.
-
-    Raises
-    ------
-    LightFieldError
-        If an input does not exist, or no light field is found at all.
+    Inputs are light fields, folders that hold light fields at any depth, or patterns (`*`, `?`, `[..]`, `**`) of these.
+    With `sequence`, the light fields of a folder are frames, in natural order of their names. With `format_name` or
+    `pattern`, each path that an input names is a light field. The output folder `leave_out` is not searched. Whatever
+    cannot be looked at is one of the items: who reads it says what is wrong. LightFieldError if an input does not exist
+    or nothing is found.
     """
     everything: list[Path] = []
     search = _Search(None if leave_out is None else real(leave_out))
@@ -128,10 +93,7 @@ def _times(path: Path, pattern: str | None) -> int:
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
-    """Hash the names, sizes and times of the files of a light field; another hash means that the input changed.
-
-    The output folder `leave_out` is not part of it.
-    """
+    """Hash names, sizes and times of the files of a light field, without those in the output folder `leave_out`."""
     root = Path(source)
     digest = hashlib.sha256()
     files = sorted(_files(root, None if leave_out is None else real(leave_out))) if _is_folder(root) else [root]
@@ -166,13 +128,7 @@ def _matches(text: str) -> list[Path]:
 
 
 class _Search:
-    """A search for light fields in folders. Each folder is searched once, even if several links lead to it.
-
-    Parameters
-    ----------
-    excluded
-        A folder that is not searched.
-    """
+    """A search for light fields in folders but `excluded`, each of them once, however many links lead to it."""
 
     def __init__(self, excluded: Path | None) -> None:
         self.excluded, self.barren = excluded, list[Path]()
@@ -254,10 +210,7 @@ def _kind(path: Path) -> str | None:
 
 
 def recognised(path: Path) -> str | None:
-    """Name the format of a file or folder; None if it has none, or holds several light fields.
-
-    LightFieldError if it cannot be looked at.
-    """
+    """Name the format of a path; None if it has none, or holds several. LightFieldError if it cannot be looked at."""
     found = next((entry for entry in FORMATS if entry.recognise(path) is not None), None)
     if found is None or (found.looks_below and several.sentence(path, found.name, kind) is not None):
         return None

@@ -135,13 +135,7 @@ def _size(file: Path) -> int:
 
 
 class Manifest:
-    """The manifest of a running batch. Only one batch can write it at a time. Use it in a `with` block.
-
-    Raises
-    ------
-    LightFieldError
-        If another batch is writing to the folder, or the file cannot be opened.
-    """
+    """The manifest of a running batch, which no other batch can write meanwhile. Use it in a `with` block."""
 
     def __init__(self, folder: Path) -> None:
         self._path, self._lock_path = folder / MANIFEST_FILE, folder / LOCK_FILE

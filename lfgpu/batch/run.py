@@ -56,17 +56,7 @@ class Progress:
 
 
 class Batch:
-    """Batch that computes the items that are missing, failed or out of date.
-
-    Parameters
-    ----------
-    items
-        The items, from `find_items`.
-    out
-        The folder for the outputs and the manifest.
-    settings
-        The settings of the estimate.
-    """
+    """Batch that computes the items that are missing, failed or out of date."""
 
     def __init__(self, items: Sequence[Item], out: Path, settings: Settings) -> None:
         self._items, self._out, self._settings = list(items), out, settings
@@ -77,14 +67,7 @@ class Batch:
         """Compute the items on a cluster, which is started only if there is work.
 
         `on_progress` is called a few times a second, and after each item. If the run ends early (Ctrl-C, a lost
-        cluster), the manifest holds what was done until then.
-
-        Raises
-        ------
-        LightFieldError
-            If the folder cannot be written, or another batch writes to it.
-        BatchError
-            If the cluster does not start or is lost, or the disk is full.
+        cluster, a full disk), the manifest holds what was done until then.
         """
         start, out = time.perf_counter(), self._out
         with Manifest(out) as manifest:

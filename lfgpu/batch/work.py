@@ -67,23 +67,13 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """Item with all that a worker needs for it.
-
-    Parameters
-    ----------
-    item, settings, out
-        The item, the settings, and the output folder.
-    first
-        The first frames of its sequence. Range and noise of the sequence are measured on the first readable one.
-    keys
-        The hashes of parameters and files, for the manifest.
-    """
+    """Item with all that a worker needs for it."""
 
     item: Item
     settings: Settings
     out: str
-    first: tuple[Item, ...] = ()
-    keys: Mapping[str, str] = field(default_factory=dict)
+    first: tuple[Item, ...] = ()  # first frames of its sequence; range and noise are measured on the first readable one
+    keys: Mapping[str, str] = field(default_factory=dict)  # hashes of parameters and files, for the manifest
 
 
 class OutOfMemory(Exception):  # noqa: N818 - a state, after which a retry may succeed
@@ -91,10 +81,7 @@ class OutOfMemory(Exception):  # noqa: N818 - a state, after which a retry may s
 
 
 def work(job: Job, device: str | None = None) -> dict[str, Any]:
-    """Do an item on a device, by default the backend's best. Returns its manifest entry.
-
-    Errors of the item are in the entry. Only OutOfMemory is raised, because a retry may succeed.
-    """
+    """Do an item on a device; returns its manifest entry, with its errors. OutOfMemory is raised, to try again."""
     began, start = time.time(), time.perf_counter()
     entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
     try:

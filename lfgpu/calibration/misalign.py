@@ -21,39 +21,17 @@ from lfgpu.errors import LightFieldError
 
 @dataclass(frozen=True)
 class Misalignment:
-    """Size of the faults of cameras: standard deviations of independent draws for each view.
+    """Size of the faults of cameras: standard deviations of independent draws for each view."""
 
-    Parameters
-    ----------
-    shift
-        Pixels by which turning a camera to the side moves its picture, along each axis, >= 0.
-    roll
-        Degrees that it is turned about its axis.
-    scale
-        Share by which its focal length differs.
-    distortion
-        Of its k1, the first coefficient of Brown and Conrady.
-    position
-        View steps that it stands beside its place, along each axis. Scenes are rendered from there.
-    gain
-        Share by which each colour is brighter.
-    offset
-        Intensity that is added to each colour.
-    vignetting
-        Share by which the corners are darker.
-    noise
-        Intensity of the noise of each pixel.
-    """
-
-    shift: float = 0.0
-    roll: float = 0.0
-    scale: float = 0.0
-    distortion: float = 0.0
-    position: float = 0.0
-    gain: float = 0.0
-    offset: float = 0.0
-    vignetting: float = 0.0
-    noise: float = 0.0
+    shift: float = 0.0  # pixels by which turning a camera to the side moves its picture, along each axis
+    roll: float = 0.0  # degrees about its axis
+    scale: float = 0.0  # share by which its focal length differs
+    distortion: float = 0.0  # of its k1, the first coefficient of Brown and Conrady
+    position: float = 0.0  # view steps beside its place, along each axis; scenes are rendered from there
+    gain: float = 0.0  # share by which each colour is brighter
+    offset: float = 0.0  # intensity that is added to each colour
+    vignetting: float = 0.0  # share by which the corners are darker
+    noise: float = 0.0  # intensity of the noise of each pixel
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -85,24 +63,12 @@ CHECKERBOARD = Misalignment(shift=0.15, roll=0.01, scale=2e-4, distortion=1e-3, 
 
 @dataclass(frozen=True, eq=False)
 class Disturbed:
-    """Light field of misaligned cameras.
+    """Light field of misaligned cameras."""
 
-    Parameters
-    ----------
-    light_field
-        The views that the cameras record, at the positions that they should have.
-    cameras
-        The cameras, exactly.
-    calibrated
-        The cameras by the calibration with a checkerboard.
-    gain, offset
-        float64 [n, c]: the middle of a view shows gain * t + offset where it should show t.
-    """
-
-    light_field: LightField
-    cameras: tuple[Camera, ...]
-    calibrated: tuple[Camera, ...]
-    gain: Float64Array
+    light_field: LightField  # the recorded views, at the positions that they should have
+    cameras: tuple[Camera, ...]  # the cameras, exactly
+    calibrated: tuple[Camera, ...]  # the cameras by the calibration with a checkerboard
+    gain: Float64Array  # float64 [n, c]: the middle of a view shows gain * t + offset where it should show t
     offset: Float64Array
 
 
@@ -116,21 +82,9 @@ def displacements(count: int, reference: int, sigma: float, seed: int) -> Float6
 def disturb(lf: LightField, how: Misalignment, *, seed: int = 0, moved: Float64Array | None = None) -> Disturbed:
     """Record the scene of a light field, whose cameras are right, with misaligned cameras.
 
-    Parameters
-    ----------
-    lf
-        The light field; its geometry must be known. The reference view stays as it is, but for noise.
-    how
-        Size of the faults. Positions cannot be changed here: give the `displacements` and views from there.
-    seed
-        Decides every draw, >= 0.
-    moved
-        [n, 2], view steps by which the views of `lf` were taken beside their positions; None is nowhere.
-
-    Raises
-    ------
-    LightFieldError
-        If the light field has no geometry, or positions should change that it does not have.
+    The reference view stays as it is, but for noise. Positions cannot be changed here: `moved` are the `displacements`
+    [n, 2], view steps, at which the views were taken. LightFieldError if the light field has no geometry, or positions
+    should change that it does not have.
     """
     if lf.geometry is None:
         raise LightFieldError(f"{lf.name} has no geometry: what turning its cameras does is not known.")

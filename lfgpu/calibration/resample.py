@@ -55,20 +55,10 @@ def resampled(
     places: Callable[[int], Float64Array | None],
     tone: Callable[[Float32Array, int, Float64Array], Float32Array] | None = None,
 ) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
-    """Look up all views of a light field at given places; returns views and masks.
+    """Look up all views of a light field at given places; returns views [n, y, x, c] as stored, and their masks.
 
-    Parameters
-    ----------
-    lf
-        The light field.
-    places
-        Called with the index of a view: returns the places (x, y) [y, x, 2] to look it up at; None leaves it.
-    tone
-        Called with a view in [0, 1], its index and the places: returns the view to show instead. None changes nothing.
-
-    Returns
-    -------
-    Views [n, y, x, c] in the stored type, and bool [n, y, x], None if all is valid.
+    `places` gives the places (x, y) [y, x, 2] of the view with an index, None to leave it. `tone` changes a view in [0,
+    1], given its index and the places.
     """
     import scipy.ndimage  # noqa: F401 - slow, so not at the top; here, as threads should import nothing
 

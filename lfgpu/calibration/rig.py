@@ -30,36 +30,16 @@ _SAME = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Rig:
-    """Rig of parallel cameras in a plane that stand for calibrated ones.
+    """Rig of parallel cameras in a plane that stand for calibrated ones."""
 
-    Parameters
-    ----------
-    cameras
-        The calibrated cameras, n of them, for pictures of one size.
-    rotation
-        [3, 3], world to the frame that all rectified cameras have: x to the right, y down, z along the normal.
-    positions
-        float64 [n, 2], (u, v) in view steps; the reference stands at (0, 0).
-    ahead
-        float64 [n], distance of each camera before the plane, in the unit of the calibration.
-    geometry
-        Focal length, length of a view step and distance of the plane of disparity 0.
-    reference
-        Index of the reference camera.
-    corrected_at
-        Depth at which cameras off the plane are corrected exactly; infinity corrects nothing.
-    notes
-        Remaining faults, one sentence each.
-    """
-
-    cameras: tuple[Camera, ...]
-    rotation: Float64Array
-    positions: Float64Array
-    ahead: Float64Array
-    geometry: Geometry
+    cameras: tuple[Camera, ...]  # for pictures of one size
+    rotation: Float64Array  # [3, 3], world to the frame of all rectified cameras: x right, y down, z along the normal
+    positions: Float64Array  # float64 [n, 2], (u, v) in view steps; the reference stands at (0, 0)
+    ahead: Float64Array  # float64 [n], distance of each camera before the plane, in the unit of the calibration
+    geometry: Geometry  # focal length, length of a view step, distance of the plane of disparity 0
     reference: int
-    corrected_at: float
-    notes: tuple[str, ...]
+    corrected_at: float  # depth at which cameras off the plane are corrected exactly; infinity corrects nothing
+    notes: tuple[str, ...]  # remaining faults, one sentence each
 
     def places(self, index: int, at: Float64Array) -> Float64Array:
         """Find the pixels [..., 2] of picture `index` that its rectified pixels `at` [..., 2] show; NaN if none."""
@@ -94,14 +74,8 @@ class Rig:
     ) -> LightField:
         """Rectify pictures [n, y, x, c] of these cameras to a light field; each is resampled once.
 
-        Parameters
-        ----------
-        pictures
-            The pictures as views, in the order of the cameras; their positions do not count.
-        homographies
-            [n, 3, 3], from pixels of what comes out to rectified pixels, as `refine` finds them; None changes nothing.
-        tone
-            As for `resampled`.
+        `homographies` [n, 3, 3] lead from pixels of what comes out to rectified pixels, as `refine` finds them; `tone`
+        is that of `resampled`.
         """
         grid = pixels(*pictures.size)
 
@@ -139,21 +113,9 @@ def fit_rig(
 ) -> Rig:
     """Fit the rig of parallel cameras in a plane that is nearest to calibrated ones.
 
-    Parameters
-    ----------
-    cameras
-        At least two, for pictures of one size.
-    depths
-        (near, far) of the scene in the unit of the calibration, if known: cameras off the plane are corrected for what
-        lies between. None takes the distance at which the cameras look at one point.
-    reference
-        Index of the reference camera; None takes the one nearest to the middle.
-
-    Raises
-    ------
-    LightFieldError
-        If the cameras do not stand about in a plane, all in one place, do not look about along its normal, or have
-        focal lengths that differ by half.
+    Cameras off the plane are corrected for what lies between `depths`, (near, far) in the unit of the calibration, else
+    for the distance at which the cameras look at one point. LightFieldError if the cameras do not stand about in a
+    plane, do not look about along its normal, or have focal lengths that differ by half.
     """
     if len(cameras) < 2:
         raise LightFieldError("a rig needs at least two calibrated cameras.")

@@ -71,19 +71,8 @@ def homographies(warps: Float64Array, size: tuple[int, int]) -> Float64Array:
 class Bundle:
     """Unknowns of all views and points of one light field, and steps that improve them.
 
-    Parameters
-    ----------
-    lf
-        The light field.
-    points
-        The points that are looked up in all views.
-    model
-        Kind of the homography of a view: "shift", "similarity" (default) or "homography".
-    free_positions
-        True: positions of cameras are unknowns, too. Default False.
-    smoothing
-        Standard deviation, in pixels, of the Gaussian that views are smoothed with first: steps reach farther with it.
-        Default 0: none.
+    The homography of a view is of a kind: "shift", "similarity" or "homography". With `free_positions`, positions are
+    unknown, too. Views are first smoothed by `smoothing` pixels, with which steps reach farther.
     """
 
     def __init__(

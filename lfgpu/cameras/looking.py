@@ -82,27 +82,12 @@ def look(
     budget: Budget,
     in_part: bool = False,
 ) -> Look | None:
-    """Look at the cameras of a light field.
+    """Look at the cameras of a light field; None if nothing can be wrong by the screening, or the views do not tell.
 
-    Parameters
-    ----------
-    lf
-        The light field.
-    disparity
-        Map of the reference view, [y, x], pixels per view step; NaN where it is unknown. None: there is no map. Then
-        the budget is "screen", and the look finds faults of all cameras together: out of line, of different brightness,
-        one axis with the wrong sign.
-    device
-        Where it is computed which views see the points; others wait meanwhile.
-    budget
-        Effort: "screen", "quick" or "full".
-    in_part
-        Look at 33 of the views and at their middle, 4 million pixels in all: faults of other single views stay hidden.
-        Default False: all views.
-
-    Returns
-    -------
-    The look; None if the screening says that nothing can be wrong, or if the views do not tell.
+    Without a map [y, x] of the reference view the budget is "screen", and the look finds faults of all cameras
+    together: out of line, of different brightness, one axis with the wrong sign. `in_part` looks at 33 of the views and
+    at their middle, 4 million pixels in all: faults of other single views stay hidden. Others wait for the device
+    meanwhile.
     """
     if disparity is None:
         return _look_without_map(lf, device)

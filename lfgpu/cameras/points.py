@@ -24,25 +24,13 @@ _AT_ONCE = 16  # views whose visibility is computed together
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """Points of the reference view that have texture and lie on smooth surfaces.
+    """Points of the reference view that have texture and lie on smooth surfaces."""
 
-    Parameters
-    ----------
-    x, y
-        float64 [p], columns and rows in pixels.
-    disparity
-        float64 [p], pixels per view step.
-    visible
-        float32 [n, p], 1 where a view sees the point, else 0.
-    tile
-        int [p], the part of the picture that each point lies in.
-    """
-
-    x: Float64Array
-    y: Float64Array
-    disparity: Float64Array
-    visible: NDArray[np.float32]
-    tile: NDArray[np.intp]
+    x: Float64Array  # float64 [p], columns in pixels
+    y: Float64Array  # float64 [p], rows in pixels
+    disparity: Float64Array  # float64 [p], pixels per view step
+    visible: NDArray[np.float32]  # float32 [n, p], 1 where a view sees the point, else 0
+    tile: NDArray[np.intp]  # int [p], the part of the picture that each point lies in
 
     def some(self, chosen: NDArray[np.bool_]) -> Points:
         """Select points by a mask [p]."""

@@ -102,16 +102,10 @@ def near_and_far_swapped(lf: LightField, disparity: NDArray[np.float32]) -> bool
 class Order:
     """Differences between views and the near or the far one of two surfaces that land at the same pixel.
 
-    Parameters
-    ----------
-    told
-        Number of such pixels in all views that were compared.
-    near, far
-        float64 [t], sums of the absolute differences from the near and from the far surface, intensity, for each part
-        of the picture that has such pixels.
+    `near` and `far` are sums of absolute differences [t], intensity, for each part of the picture with such pixels.
     """
 
-    told: int
+    told: int  # number of such pixels in all views that were compared
     near: Float64Array
     far: Float64Array
 

@@ -20,19 +20,11 @@ def grey(lf: LightField, index: int) -> NDArray[np.float32]:
 
 
 class Surface:
-    """Cubic B-spline surface over a picture, with the pixels as coefficients.
+    """Cubic B-spline surface over a picture [y, x, c], or several [n, y, x, c], with the pixels as coefficients.
 
     The spline smooths by 0.58 px. An interpolating spline would not do: its noise is weaker halfway between pixels than
-    on them, so the sum of squares is least where views are looked up halfway, and noisy views drift there by up to
-    0.1 px. Smoothed noise is nearly as strong everywhere.
-
-    Parameters
-    ----------
-    picture
-        [y, x, c] as stored, or several of one size, [n, y, x, c]. Only the pixels around the places that are asked for
-        are read.
-    scale
-        Factor from stored values to intensity.
+    on them, so the sum of squares is least where views are looked up halfway, and noisy views drift there by up to 0.1
+    px. Smoothed noise is nearly as strong everywhere. `scale` multiplies stored values.
     """
 
     def __init__(self, picture: NDArray[Any], scale: float = 1.0) -> None:

@@ -15,14 +15,9 @@ _FEWEST = 20  # points that a view must share with others
 
 @dataclass(frozen=True, eq=False)
 class Tones:
-    """Tones of views: a view shows (gain + vignetting r²) t + offset where the reference would show t.
+    """Tones of views: a view shows (gain + vignetting r²) t + offset where the reference would show t; each is [n, c].
 
     r is the distance from the middle of the view in units of its half diagonal.
-
-    Parameters
-    ----------
-    gain, offset, vignetting
-        float64 [n, c]; 1, 0 and 0 for the reference view.
     """
 
     gain: Float64Array
@@ -50,23 +45,11 @@ def squared_radius_at(at: Float64Array, size: tuple[int, ...]) -> NDArray[np.flo
 def match_tones(
     shown: Float64Array, weight: Float64Array, radius2: Float64Array, reference: int, *, vignetting: bool
 ) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Fit gain, offset and vignetting [n] of one colour.
+    """Fit gain, offset and vignetting [n] of one colour to the intensities `shown` [n, p] of points.
 
     The intensity of a point is the mean of all views, so that noise of the reference alone does not lower the gains of
-    others. Intensities and tones are found in turns, with robust weights.
-
-    Parameters
-    ----------
-    shown
-        [n, p], intensity of each point in each view, in [0, 1].
-    weight
-        [n, p], 0 where a view does not show a point.
-    radius2
-        [n, p], squared distance of the point from the middle of the view, half diagonals.
-    reference
-        Index of the view whose gain is 1 and whose offset is 0.
-    vignetting
-        True: vignetting is looked for. Else it is 0.
+    others. Intensities and tones are found in turns, with robust weights; `weight` is 0 where a view does not show a
+    point. `radius2` are squared distances from the middle of the view, half diagonals.
     """
     weight = weight * ((shown > _DARK) & (shown < _BRIGHT))
     count = len(shown)

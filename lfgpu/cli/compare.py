@@ -27,13 +27,7 @@ _FILES = {
 
 
 def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: int | None) -> None:
-    """Score methods on scenes, print the table, and write files into the folder `out`, if given.
-
-    Raises
-    ------
-    LightFieldError
-        If a path is missing, two names are equal, a scene has no ground truth, or no method has a result of a scene.
-    """
+    """Score methods on scenes, print the table, and write files into the folder `out`, if given."""
     from lfgpu.cli.summary import show_outputs
     from lfgpu.comparison import table
     from lfgpu.io import check_writable
@@ -63,13 +57,7 @@ def are_batches(folders: list[Path]) -> bool:
 
 
 def compare_batches(folders: list[Path], out: Path | None) -> None:
-    """Print the scores that batches recorded: of each item with ground truth, and their averages.
-
-    Raises
-    ------
-    LightFieldError
-        If two folders have the same name, or no item has ground truth.
-    """
+    """Print the scores that batches recorded: of each item with ground truth, and their averages."""
     from lfgpu.batch.manifest import DONE, read_manifest, standing
     from lfgpu.cli.console import remark
     from lfgpu.cli.summary import show_outputs

@@ -454,9 +454,7 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
 
 @contextmanager
 def _terminated_as_by_ctrl_c() -> Iterator[None]:
-    """Turn SIGTERM, by which services are stopped, into a KeyboardInterrupt in this block; only the main thread may do
-    so.
-    """
+    """Turn SIGTERM, by which services are stopped, into a KeyboardInterrupt in this block of the main thread."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return

@@ -64,9 +64,7 @@ def parse_policy(option: str, text: str) -> tuple[str, int | None]:
 
 
 def parse_until(option: str, text: str) -> float:
-    """Parse a time as seconds from now: "90s", "10m" and "2h" are a time to wait; "18:30" is a time of this day, or of
-    the next.
-    """
+    """Parse a time as seconds from now: "90s", "10m", "2h" are a time to wait; "18:30" is its next time of day."""
     from datetime import datetime, timedelta
 
     units = {"s": 1.0, "m": 60.0, "h": 3600.0}

@@ -14,20 +14,7 @@ _HOST, _CUDA = (1, 3), (2, 13)  # device types of DLPack: CPU memory, pageable o
 
 
 def place_of(name: str, values: Any) -> str:
-    """Find the device of an array: "cpu", "cuda:0" and so on, or `SOME_GPU`.
-
-    Parameters
-    ----------
-    name
-        The name of the array in messages.
-    values
-        The array.
-
-    Raises
-    ------
-    LightFieldError
-        If it is not an array, or its device is neither a CPU nor a CUDA GPU.
-    """
+    """Find the device of an array called `name`: "cpu", "cuda:0" and so on, or `SOME_GPU`; others are refused."""
     if isinstance(values, np.ndarray):
         return "cpu"
     if hasattr(values, "__dlpack_device__"):

@@ -26,35 +26,17 @@ class ViewLayout:
     """Views [n, y, x, c] of one scene without their pixels; `LightField.layout` gives that of a light field.
 
     Plans, view rules and the memory of an estimate depend on the layout alone. A subset copies nothing.
-
-    Parameters
-    ----------
-    offsets
-        float64 [n, 2], (du, dv) of each view from the reference view, in view steps.
-    reference
-        Index of the reference view.
-    size
-        (height, width) of each view in pixels.
-    channels
-        1 for grey, 3 for colour.
-    dtype
-        Type of the stored values: uint8, uint16 or float32.
-    scale
-        Factor from stored values to intensities in [0, 1].
-    masks
-        bool [y, x] for each view, False at unusable pixels. Default None: all pixels are valid.
-    name
-        Name of the scene in messages.
     """
 
-    offsets: NDArray[np.float64]
-    reference: int
-    size: tuple[int, int]
-    channels: int
-    dtype: np.dtype[Any]
-    scale: float
+    offsets: NDArray[np.float64]  # float64 [n, 2], (du, dv) of each view from the reference view, in view steps
+    reference: int  # index of the reference view
+    size: tuple[int, int]  # (height, width) of each view in pixels
+    channels: int  # 1 for grey, 3 for colour
+    dtype: np.dtype[Any]  # of the stored values: uint8, uint16 or float32
+    scale: float  # factor from stored values to intensities in [0, 1]
     masks: tuple[NDArray[np.bool_], ...] | None = None
-    name: str = "light field"
+    """A mask [y, x] for each view, False at unusable pixels; None: all are valid."""
+    name: str = "light field"  # of the scene, in messages
 
     @property
     def count(self) -> int:
@@ -98,18 +80,10 @@ class ViewLayout:
         raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
 
     def chosen(self, which: str | Sequence[int] | NDArray[Any]) -> NDArray[np.intp]:
-        """Find the indices of the views that a subset keeps, in order.
+        """Find the indices of the views that a subset keeps, in order; the reference view is always kept.
 
-        Parameters
-        ----------
-        which
-            One of the `PATTERNS` through the reference view, indices of views, or a mask bool [n]. The reference view
-            is always kept.
-
-        Raises
-        ------
-        LightFieldError
-            If fewer than two views remain, or an index or pattern is unknown.
+        `which` is one of the `PATTERNS` through the reference view, indices of views, or a mask bool [n].
+        LightFieldError if fewer than two views remain, or an index or pattern is unknown.
         """
         if isinstance(which, str):
             keep = self.pattern(which)

@@ -7,27 +7,13 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Reading:
-    """Decisions of a reader, with their reasons: sentences without a full stop, "" where nothing was decided.
+    """Decisions of a reader, with their reasons: sentences without a full stop, "" where nothing was decided."""
 
-    Parameters
-    ----------
-    places
-        Which numbers, axes or entries say where the cameras stand.
-    pictures
-        How pictures are oriented, and which pixels are known.
-    lengths
-        Which unit lengths have, and where they come from.
-    transpose
-        Whether rows and columns of cameras were swapped because the caller said so. Default False.
-    flip
-        Axes that were turned round after that because the caller said so, as in `lfgpu.read`. Default "".
-    """
-
-    places: str = ""
-    pictures: str = ""
-    lengths: str = ""
-    transpose: bool = False
-    flip: str = ""
+    places: str = ""  # which numbers, axes or entries say where the cameras stand
+    pictures: str = ""  # how pictures are oriented, and which pixels are known
+    lengths: str = ""  # which unit lengths have, and where they come from
+    transpose: bool = False  # True if rows and columns of cameras were swapped because the caller said so
+    flip: str = ""  # axes that were turned round after that because the caller said so
 
     def lines(self) -> list[tuple[str, str]]:
         """List a label and a sentence for each decision."""
@@ -35,11 +21,7 @@ class Reading:
         return [(label, sentence) for label, sentence in said if sentence]
 
     def advice(self, *, transpose: bool = False, flip: str = "") -> str:
-        """Advise on the options of `lfgpu.read` with which the axes of the cameras of the same files are turned as
-        well.
-
-        What was given already is taken into account. "" where nothing is left to be given.
-        """
+        """Advise on the options of `lfgpu.read` that also turn the axes so, beside those given already; "" if none."""
         flips = set(self.flip)
         if transpose:  # what was flipped before is flipped along the other axis after it
             flips = {{"u": "v", "v": "u"}[axis] for axis in flips}

@@ -82,9 +82,7 @@ def map_of(
 
 
 def geometry_about(geometry: Geometry) -> dict[str, Any]:
-    """Return a geometry as JSON takes it: without infinity, so frames that are not shifted have the focus distance
-    null.
-    """
+    """Return a geometry as JSON takes it: the focus distance of frames that are not shifted is null."""
     values = asdict(geometry)
     if math.isinf(geometry.focus_distance_m):
         values["focus_distance_m"] = None

@@ -188,9 +188,7 @@ def _makes_sense(shape: tuple[int, ...], axes: str, *, longest: float = _LONGEST
 
 
 def storable(path: Path, array: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, list[str]]:
-    """Convert views [..., c] to native byte order, without alpha, uint8, uint16 or float32; returns them and what was
-    converted.
-    """
+    """Convert views [..., c] to native byte order, uint8, uint16 or float32; returns them, their alpha, and notes."""
     notes, valid = [], None
     if array.dtype.kind not in "fu" or array.dtype.itemsize > 8:
         raise LightFieldError(f"{path} has {array.dtype} values; views must be uint8, uint16 or float32: convert them.")

@@ -31,12 +31,7 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     The temporary file lies in a folder next to the target and has its name, because writers choose formats by its
     suffix. Missing parent folders are made. On an exception nothing is left behind and a file that was there before is
-    untouched.
-
-    Raises
-    ------
-    LightFieldError
-        If the target cannot be written, also when the block itself fails with an OSError (a full disk).
+    untouched. LightFieldError if the target cannot be written, also when the block fails with an OSError (a full disk).
     """
     target = _resolved(path)
     with _staged(target, target.parent) as temporary:
@@ -50,13 +45,8 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
     """Yield an empty temporary folder to write files to; it becomes `out` when the block ends without an exception.
 
-    If `out` is there already, each file is moved into it, over a file of the same name; its other files stay. Missing
-    parent folders are made. On an exception in the block nothing is left behind.
-
-    Raises
-    ------
-    LightFieldError
-        If the target cannot be written, also when the block itself fails with an OSError (a full disk).
+    If `out` is there already, each file is moved into it, over a file of the same name; its other files stay. Otherwise
+    as `atomic_write`.
     """
     target = _resolved(out)
     # A folder that is there may be a mount point, or writable when its parent is not: then staging happens inside it.
@@ -78,20 +68,7 @@ def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
-    """Raise at once if `out` could not be written later, so that no long computation is lost; makes nothing.
-
-    Parameters
-    ----------
-    out
-        Where the output shall go; it and its parents need not exist yet.
-    folder
-        True if `out` shall be a folder, False if it shall be a file.
-
-    Raises
-    ------
-    LightFieldError
-        If `out` or one of its parents is of the wrong kind or may not be written to; the sentence names it.
-    """
+    """Raise LightFieldError if `out` could not be written later, so that no long computation is lost; makes nothing."""
     target = _resolved(out)
     if not folder and target.is_dir():
         raise LightFieldError(f"{target} cannot be written: it is a folder; name a file in it.")

@@ -235,9 +235,7 @@ def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, i
 def _order(
     light_field: LightField, chosen: list[int], vectors: NDArray[np.float64], once: NDArray[np.float64]
 ) -> str | None:
-    """Find the order of a full grid that fits distances of cameras from the reference, divided by `once`; None if there
-    is none.
-    """
+    """Find the order of a full grid that fits distances of cameras from the reference, divided by `once`; else None."""
     shape = light_field.grid_shape
     if shape is None or light_field.missing or min(shape) < 2:
         return None

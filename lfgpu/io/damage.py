@@ -50,17 +50,7 @@ def check_claim(
     *,
     in_memory: bool = True,
 ) -> None:
-    """Raise LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory.
-
-    Parameters
-    ----------
-    path
-        The file, of which only the size is looked at.
-    shape, dtype
-        What its header says of the array.
-    in_memory
-        Whether memory will be taken for it.
-    """
+    """Raise LightFieldError if an array that a file claims to hold can neither be in the file nor in the memory."""
     if any(side < 0 for side in shape):
         raise LightFieldError(f"{path} is damaged: it claims an array of shape {tuple(shape)}.")
     claimed = math.prod(int(side) for side in shape) * np.dtype(dtype).itemsize

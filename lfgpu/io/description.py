@@ -77,28 +77,10 @@ def write_description(
 ) -> tuple[str, ...]:
     """Write the description of a light field that was read from files, for `read_description` to read back.
 
-    Views with files of their own are named one by one. Otherwise the description names the `source`, which is
-    read again, and the positions of its views. Ground truth goes into files beside it: NAME.truth.pfm, NAME.mask.png;
-    so does the validity of views with files of their own: NAME.valid_000.png and so on.
-
-    Parameters
-    ----------
-    light_field
-        What was read.
-    path
-        The file to write, .toml or .json.
-    source
-        `path` and `format`, and what else `lfgpu.read` was told: `grid`, `every`, `order`, `pattern`, `frame`, `axes`,
-        `unit`, `transpose` and `flip`.
-
-    Returns
-    -------
-    What the description could not hold, one sentence each; empty if everything was stored.
-
-    Raises
-    ------
-    LightFieldError
-        If the file cannot be written, or a name cannot be (bytes that are not UTF-8).
+    Views with files of their own are named one by one. Otherwise the description names the `source`, `path`, `format`
+    and what else `lfgpu.read` was told, which is read again, and the positions of its views. Ground truth goes into
+    files beside it: NAME.truth.pfm, NAME.mask.png; so does the validity of views: NAME.valid_000.png and so on. Returns
+    sentences about what could not be held.
     """
     target = Path(path)
     if target.suffix.lower() not in (".toml", ".json"):
@@ -366,9 +348,7 @@ def _relative(name: str | os.PathLike[str], folder: Path) -> str:
 
 
 def _toml(table: Mapping[str, Any]) -> str:
-    """Write a description as TOML: scalars and lists first, then tables, then the views, a line for each of their
-    entries.
-    """
+    """Write a description as TOML: scalars and lists first, then tables, then the views, a line for each entry."""
     lines = [f"{key} = {_toml_value(value)}" for key, value in table.items() if not _is_table(value)]
     for key, value in table.items():
         if isinstance(value, dict):

@@ -38,18 +38,7 @@ class Collected:
     """Arrays of one shape and type as one array [n, ...] in memory or in a temporary file, filled by several threads.
 
     The file lies in the system's folder for such (`TMPDIR`), has no name there and is gone with the array.
-
-    Parameters
-    ----------
-    source
-        Where they come from, for messages.
-    count, like
-        How many there will be, and one of them.
-
-    Raises
-    ------
-    LightFieldError
-        If the memory or the disk does not suffice; MemoryError is left to the caller.
+    LightFieldError that names `source` if memory or disk do not suffice; MemoryError is left to the caller.
     """
 
     def __init__(self, source: Path, count: int, like: NDArray[Any]) -> None:

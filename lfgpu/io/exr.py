@@ -26,11 +26,7 @@ _OUTPUTS = threading.Lock()
 
 
 def read_channels(path: Path) -> tuple[dict[str, NDArray[np.float32]], dict[str, Any]]:
-    """Read the channels of an OpenEXR file by name, float32 [y, x] as stored (NaN and infinities included), and its
-    header.
-
-    LightFieldError if OpenEXR is missing, or the file is none, damaged, or claims more than it can hold.
-    """
+    """Read the channels by name, float32 [y, x] with NaN and infinities as they are stored, and the header."""
     exr = require("OpenEXR", "exr", path)
     if head(path, 4) != _MAGIC:  # the library tells that on stderr, too
         check_fetched(path)
@@ -101,9 +97,7 @@ def complaints() -> Iterator[Callable[[], bool]]:
 
 
 def write_map(values: DisparityMap, path: Path, image: NDArray[Any] | None) -> None:
-    """Write float32 channels `disparity`, `confidence`, `uncertainty` and `Z` (depth in metres), as far as they are
-    known.
-    """
+    """Write float32 channels `disparity`, `confidence`, `uncertainty` and `Z` (depth in metres), as far as known."""
     import OpenEXR
 
     maps = values.known_maps

@@ -21,11 +21,7 @@ def check_flip(flip: str) -> None:
 
 
 def places_in(shape: tuple[int, int], order: str) -> NDArray[np.intp]:
-    """Return [n, 2], the (row, column) of each view of a full grid of (rows, columns), in the order in which they are
-    stored.
-
-    LightFieldError if `order` is none of `ORDERS`.
-    """
+    """Return the (row, column) [n, 2] of each view of a full grid, in the order in which they are stored."""
     if order not in ORDERS:
         raise LightFieldError(f"order must be one of {', '.join(ORDERS)}, not {order!r}.")
     by_columns = order.endswith("columns") or order == "column-major"

@@ -21,23 +21,7 @@ _QUALITY = 8  # of 10
 
 
 def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any = np.uint8) -> None:
-    """Write an image; whole or not at all.
-
-    Parameters
-    ----------
-    image
-        float32 [y, x, c], c = 1 or 3, in [0, 1].
-    path
-        .png, rounded to `dtype`, or .tif, of one channel or three of float32 as they are.
-    dtype
-        uint8 (default) or uint16, of a PNG.
-
-    Raises
-    ------
-    LightFieldError
-        If the suffix is another one, a colour TIFF shall be written and tifffile is not there, or the file cannot be
-        written.
-    """
+    """Write an image, float32 [y, x, c] in [0, 1], as .png (`dtype` uint8, uint16) or .tif; whole or not at all."""
     path = Path(path)
     check_image_path(path)
     with atomic_write(path) as temporary:
@@ -62,24 +46,10 @@ def check_image_path(path: str | os.PathLike[str]) -> None:
 def write_frames(
     frames: Iterable[Float32Array], path: str | os.PathLike[str], *, fps: float = _FPS, dtype: Any = np.uint8
 ) -> None:
-    """Write images of one size as a film; whole or not at all.
+    """Write images of one size, float32 [y, x, c] in [0, 1], as a film; whole or not at all.
 
-    Parameters
-    ----------
-    frames
-        float32 [y, x, c] each, c = 1 or 3, in [0, 1]; made while they are written.
-    path
-        .gif, which repeats for ever; .mp4 (H.264), which cuts an odd row or column off; or without a suffix a folder of
-        frame_000.png and so on.
-    fps
-        Frames per second, 0.1 to 100; 15 by default. A folder has no speed.
-    dtype
-        uint8 (default) or uint16, of PNGs.
-
-    Raises
-    ------
-    LightFieldError
-        If the suffix or `fps` is another one, imageio-ffmpeg is not there for .mp4, or it cannot be written.
+    A path is .gif, which repeats for ever; .mp4 (H.264), which cuts an odd row or column off; or without a suffix a
+    folder of frame_000.png and so on, of a `dtype`.
     """
     path = Path(path)
     check_frames_path(path)

@@ -38,25 +38,9 @@ def read_grid(
     allow_missing: bool,
     notes: Collection[str] = (),
 ) -> LightField:
-    """Read files at places of a grid.
+    """Read files at places of a grid (rows, columns); the light field is named after the folder, as messages are.
 
-    Parameters
-    ----------
-    files
-        The image file of each view by its (row, column), row < rows and column < columns.
-    shape
-        (rows, columns) of the grid.
-    folder
-        Where the files come from: the light field is named after it and messages name it.
-    allow_missing
-        Whether holes that look like an accident are accepted (see `holes`).
-    notes
-        What is known already; what is noticed here comes after it.
-
-    Raises
-    ------
-    LightFieldError
-        If there are fewer than two views, holes, or unreadable or unlike files.
+    `allow_missing` accepts holes that look like an accident (see `holes`). `notes` come before what is noticed here.
     """
     if len(files) < 2:
         only = next(iter(files.values())).name

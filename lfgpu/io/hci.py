@@ -201,25 +201,10 @@ def read_hci(path: Path, *, allow_missing: bool = False) -> LightField:
 def write_hci(light_field: LightField, folder: str | os.PathLike[str]) -> tuple[str, ...]:
     """Write a grid of views as an HCI 4D folder that `read_hci` reads back; whole or not at all.
 
-    uint8 and uint16 views are stored exactly, as PNG of 8 or 16 bits; float32 views are cut to [0, 1] and rounded to
-    16 bits (an error of at most 1/131070). The ground truth is stored if it belongs to the centre view (rows // 2,
-    columns // 2), its depth too if the geometry is known.
-
-    Parameters
-    ----------
-    light_field
-        Views in a grid (`grid_shape` is set); some places may be empty.
-    folder
-        Where to write; made if it is missing. Files of the same names are replaced, files of other kinds stay.
-
-    Returns
-    -------
-    What the format could not hold, one sentence each; empty if everything was stored.
-
-    Raises
-    ------
-    LightFieldError
-        If the views are not in a grid, or the folder cannot be written or holds more of another light field.
+    uint8 and uint16 views are stored exactly, as PNG of 8 or 16 bits; float32 views are cut to [0, 1] and rounded to 16
+    bits (an error of at most 1/131070). The ground truth is stored if it belongs to the centre view (rows // 2, columns
+    // 2), its depth too if the geometry is known. Some places of the grid may be empty. Returns sentences about what
+    the format could not hold. LightFieldError if the folder holds more of another light field.
     """
     shape = light_field.grid_shape
     if shape is None:

@@ -31,24 +31,10 @@ _MASK_NAMES = ("mask_{}_lowres.png", "mask_{}.png")
 def write_submission(
     out: str | os.PathLike[str], results: Mapping[str, tuple[NDArray[np.float32], float]]
 ) -> tuple[str, ...]:
-    """Write disp_maps/SCENE.pfm and runtimes/SCENE.txt; all of it or nothing.
+    """Write disp_maps/SCENE.pfm and runtimes/SCENE.txt, all or nothing; returns the scenes that a submission lacks.
 
-    Parameters
-    ----------
-    out
-        The folder, made if missing. To be sent, its contents are zipped.
-    results
-        (disparity [512, 512] in pixels per view step, seconds) by the name of the scene, one of `SCENES`.
-
-    Returns
-    -------
-    The scenes that are missing: a submission needs all twelve.
-
-    Raises
-    ------
-    LightFieldError
-        If a scene is none of the benchmark's, a map has another size or undefined pixels, a runtime is not a positive
-        number, or the folder cannot be written.
+    `results` are (disparity [512, 512], seconds) by the name of the scene. To be sent, the contents of the folder are
+    zipped.
     """
     for scene, (disparity, seconds) in results.items():
         if scene not in SCENES:

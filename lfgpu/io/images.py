@@ -49,29 +49,11 @@ def read_image(path: str | os.PathLike[str], *, finite: bool = True) -> tuple[ND
 def read_view(
     path: str | os.PathLike[str], *, finite: bool = True
 ) -> tuple[NDArray[Any], NDArray[np.bool_] | None, frozenset[str]]:
-    """Read an image file: its values as they are stored, upright as its EXIF orientation says.
+    """Read an image file, its values as they are stored, upright as its EXIF orientation says.
 
-    Parameters
-    ----------
-    path
-        A PNG, BMP, JPEG, TIFF, WebP, PPM or PGM file of 8 or 16 bits, a TIFF of float32 or float64, or an OpenEXR.
-    finite
-        Whether NaN and infinities are refused.
-
-    Returns
-    -------
-    image
-        [y, x, c], c = 1 (grey) or 3 (colour), uint8, uint16 or float32. Palettes become colours.
-    valid
-        bool [y, x], False where the image is more transparent than not; None without transparency.
-    remarks
-        What was converted on the way: `TURNED`, `INVERTED`, `LINEAR`, `FLOAT64_ROUNDED`; empty as a rule.
-
-    Raises
-    ------
-    LightFieldError
-        If the file cannot be read, is damaged, claims an absurd size, is of another kind, or, with `finite`, has NaN or
-        infinities.
+    Returns the image [y, x, c], c = 1 or 3, uint8, uint16 or float32, palettes as colours; bool [y, x], False where it
+    is more transparent than not, None without transparency; and what was converted: `TURNED`, `INVERTED`, `LINEAR`,
+    `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused.
     """
     path = Path(path)
     with read_as(path, "an image"):
@@ -87,13 +69,7 @@ def read_view(
 
 
 def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:
-    """Read an image as a mask: bool [y, x], True where any of its colours is not zero.
-
-    Raises
-    ------
-    LightFieldError
-        If the file cannot be read as an image.
-    """
+    """Read an image as a mask: bool [y, x], True where any of its colours is not zero."""
     image, _ = read_image(path)
     return np.asarray((image != 0).any(axis=2))
 
@@ -205,9 +181,7 @@ def _raw_mode(image: Image.Image) -> str:
 
 
 def _sixteen_bit_colour(path: Path, image: Image.Image, raw: str) -> NDArray[np.uint16]:
-    """Decode 16-bit colour, of which Pillow keeps the high bytes: decoding as of the other byte order gives the low
-    ones.
-    """
+    """Decode 16-bit colour, of which Pillow keeps the high bytes; those of the other byte order are the low ones."""
     if raw.startswith("LA"):
         raise LightFieldError(f"{path} is 16-bit grey with transparency; save it without transparency.")
     other = raw[:-3] + _OTHER_BYTE[raw[-3:]]

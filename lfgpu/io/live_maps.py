@@ -25,11 +25,7 @@ _DISPARITY, _CONFIDENCE = "disparity_{:06d}.pfm", "confidence_{:06d}.pfm"
 
 
 def fingerprint(view: NDArray[Any]) -> str:
-    """Compute a number, as text, that tells pictures apart: that of a frame is the fingerprint of its reference view
-    [y, x, c].
-
-    The same pixels have the same fingerprint, wherever they are stored.
-    """
+    """Compute a text that tells pictures [y, x, c] apart: that of a frame is the fingerprint of its reference view."""
     kind = blake2b(f"{view.dtype.str} {view.shape}".encode(), digest_size=16)
     return blake2b(np.ascontiguousarray(view).data, digest_size=12, person=kind.digest()).hexdigest()
 
@@ -42,28 +38,15 @@ def write_live_map(folder: Path, number: int, disparity: NDArray[np.float32], co
 
 @dataclass(frozen=True)
 class LiveMaps:
-    """The maps in a folder, found by the reference view of the frame that they are of.
-
-    Parameters
-    ----------
-    path
-        The folder.
-    frames
-        What the log says of each frame: its number, the fingerprint of its reference view, and whether it has a map.
-    """
+    """The maps in a folder, found by the reference view of the frame that they are of."""
 
     path: Path
     frames: tuple[tuple[int, str, bool], ...]
+    """Of each frame: its number, the fingerprint of its reference view, and if it has a map."""
 
     @classmethod
     def of(cls, path: Path) -> LiveMaps:
-        """Find the maps in a folder.
-
-        Raises
-        ------
-        LightFieldError
-            If the log cannot be read, or does not say which frames the maps are of.
-        """
+        """Find the maps in a folder; LightFieldError if the log does not say which frames they are of."""
         log = path / LOG
         not_waited_for(log)
         try:

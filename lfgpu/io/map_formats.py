@@ -217,33 +217,13 @@ def one_map(found: DepthResult | ViewsResult | DisparityMap, at: Sequence[float]
 
 
 def read_map(path: str | os.PathLike[str]) -> NDArray[np.float32]:
-    """Read a map: one value per pixel.
-
-    Parameters
-    ----------
-    path
-        .pfm, .npy, .npz (its array "disparity"), .tif or .tiff, .exr (its channel "disparity"), all with one channel;
-        .png and .ply that `lfgpu.save` wrote; the suffix in any case. `lfgpu.load` also tells what the file says of it.
-
-    Returns
-    -------
-    float32 [y, x], top row first, in the unit of the file; NaN and infinities are kept.
-
-    Raises
-    ------
-    LightFieldError
-        If the file is missing, damaged, of another kind, or not a map.
-    """
+    """Read a map of any of `MAP_FORMATS`, float32 [y, x], top row first, in the unit of the file."""
     path = Path(path)
     return _map(path, readable_format(path)).disparity
 
 
 def holds_map(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a path is what `load` reads, and no light field: by its suffix, and by what is in it where it may be
-    both.
-
-    False for what is not there.
-    """
+    """Tell whether a path is there and is what `load` reads, by its suffix, and by its contents if need be."""
     path = Path(path)
     if path.is_dir():
         return result_in(path) is not None

@@ -93,30 +93,12 @@ def read_numbered(
 
     Words beside the numbers are believed: row, r, y, v and column, col, c, x, u; camera, cam, view; frame, time, t.
     Without words the last two numbers beside each other are row and column, and a single number counts cameras. Dates
-    and times of day are no places. What stays open is asked.
+    and times of day are no places. What stays open is asked: a LightFieldError says which option settles it.
 
-    Parameters
-    ----------
-    path
-        The folder; pictures lie in it or in its sub-folders, whose names count like the beginnings of file names.
-    kind
-        Which of several kinds of images in the folder is meant, as in `recognise`; None is that of most images.
-    allow_missing
-        Whether gaps are accepted as missing views, and views of another size than most are left out.
-    grid
-        (rows, columns) of cameras with one number, row by row; (n, 1) is a camera that moved down.
-    every
-        Take one camera of so many, from the first on; None takes all.
-    pattern
-        What the numbers are: "cam{u}_frame{t}.png". None finds it out.
-    frame
-        Index of the time, from 0, where there are several for each camera; None takes the first.
-
-    Raises
-    ------
-    LightFieldError
-        If there are no such pictures, it cannot be known what their numbers mean, or they are damaged or contradict
-        each other; the sentence says which option settles it.
+    Names of sub-folders count like the beginnings of file names. `kind` is that of `recognise` where there are several;
+    `allow_missing` also leaves out views of another size than most; `grid` holds cameras with one number, row by row;
+    `every` takes one camera of so many; `pattern` says what numbers are: "cam{u}_frame{t}.png"; `frame` is a time, from
+    0.
     """
     found = _found(path, pattern, kind)
     if found is None:

@@ -71,11 +71,7 @@ def _archive(path: Path, names: Sequence[str]) -> dict[str, NDArray[Any]]:
 
 
 def check_archive(path: Path) -> None:
-    """Raise LightFieldError if all arrays of an .npz together claim more than what we write as one can hold, or the
-    memory.
-
-    What is damaged otherwise, or is no .npz, passes: who reads it says so.
-    """
+    """Raise LightFieldError if the arrays of an .npz claim more than one of ours can hold, or than the memory."""
     if head(path, 4) != ZIP:
         return
     with zipfile.ZipFile(path) as archive:

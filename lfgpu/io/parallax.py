@@ -58,9 +58,7 @@ class Moves:
 
 
 def moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Moves | None:
-    """Return the distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small to
-    tell.
-    """
+    """Return the distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small."""
     if not pairs or min(pairs[0][0].shape) < SMALLEST:
         return None
     best: Moves | None = None
@@ -90,9 +88,7 @@ def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], fac
 
 
 def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the motion (x, y) of blocks [y, x, 2] from one picture to another, pixels, and how well each of them shows
-    it.
-    """
+    """Return the motion (x, y) of blocks [y, x, 2] between pictures, pixels, and how well each of them shows it."""
     by_y, by_x = np.gradient((a + b) / 2)
     change = b - a - (b - a).mean()
     xx, xy, yy, xt, yt = (
@@ -108,10 +104,8 @@ def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
 def measured(light_field: LightField, axis: int) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
     """Measure rough disparities of blocks of the reference view along one axis of the cameras (0 is u, 1 is v).
 
-    Returns
-    -------
-    (disparity, contrast), each [blocks y, blocks x]; None where no camera stands beside the reference on that axis, or
-    the views are too small. A view at offset o is the reference moved by -d o, to first order; d follows from
+    Returns disparity and contrast, [blocks y, blocks x]; None where no camera stands beside the reference on that axis,
+    or the views are too small. A view at offset o is the reference moved by -d o, to first order; d follows from
     differences over gradients (Lucas and Kanade).
     """
     factor = max(1, max(light_field.size) // AROUND)
@@ -150,9 +144,7 @@ def axes_agree(light_field: LightField) -> bool | None:
 
 
 def runs_as_truth(light_field: LightField, axis: int) -> bool | None:
-    """Tell whether parallax along an axis has the sign of the ground truth of the reference view; None if that is
-    unknown.
-    """
+    """Tell whether parallax along an axis has the sign of the reference view's ground truth; None if unknown."""
     found, truth = measured(light_field, axis), light_field.reference_truth()
     if found is None or truth is None:
         return None
@@ -213,9 +205,7 @@ def consecutive(files: Sequence[Path]) -> Moves | None:
 
 
 def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
-    """Return the distances of the cameras of consecutive grey pictures [y, x]; None if they are too small, or not
-    finite.
-    """
+    """Return the distances of the cameras of consecutive grey pictures; None if they are too small, or not finite."""
     return moves(list(pairwise(pictures))) if all(map(_in_bounds, pictures)) else None
 
 
@@ -244,9 +234,7 @@ def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
 
 
 def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
-    """Return the options that say how cameras stood whose pictures follow each other, "--grid 3x4 --order serpentine"
-    for example; None if the pictures do not tell. Of all cameras counted from the other end nothing can be told.
-    """
+    """Return the options that say how consecutive cameras stood: "--grid 3x4 --order serpentine"; None if untold."""
     if not found.told:
         return None
     scores: dict[str, float] = {}

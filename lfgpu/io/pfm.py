@@ -44,20 +44,7 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
 
 
 def write_pfm(path: str | os.PathLike[str], values: ArrayLike) -> None:
-    """Write a map as a grey PFM, little endian; whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The file, as a rule with the suffix .pfm.
-    values
-        [y, x], stored as float32; NaN and infinities are kept.
-
-    Raises
-    ------
-    LightFieldError
-        If the map is not [y, x] or the file cannot be written.
-    """
+    """Write a map [y, x] as a grey PFM, float32 and little endian, with NaN and infinities; whole or not at all."""
     array = np.asarray(values, np.float32)
     if array.ndim != 2 or 0 in array.shape:
         raise LightFieldError(f"{os.fspath(path)} cannot be written: a map must be [y, x], found shape {array.shape}.")

@@ -22,12 +22,7 @@ FORMATS = ("PNG", "BMP", "DIB", "JPEG", "TIFF", "WEBP", "PPM")
 def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
     """Open a picture of one of `FORMATS`, of a size that the file can hold; its pixels are decoded within the block.
 
-    Raises
-    ------
-    LightFieldError
-        If it claims more pixels than the file can hold or the memory takes.
-    Exception
-        Whatever comes to Pillow when a file is damaged; UnidentifiedImageError if it is none of `FORMATS`.
+    Pillow raises whatever comes to it when a file is damaged; UnidentifiedImageError if it is none of `FORMATS`.
     """
     with _decoding(path, FORMATS) as image:
         # Four bytes a pixel whatever the mode: a bound on what decoding takes.
@@ -37,13 +32,7 @@ def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
 
 @contextmanager
 def decoding(data: bytes, kind: str) -> Iterator[ImageFile.ImageFile]:
-    """Open a picture of one format, such as JPEG, that lies in memory; its pixels are decoded within the block.
-
-    Raises
-    ------
-    Exception
-        Whatever comes to Pillow when the data are damaged.
-    """
+    """Open a picture of one format, such as JPEG, that lies in memory; its pixels are decoded within the block."""
     with _decoding(io.BytesIO(data), (kind,)) as image:
         yield image
 

@@ -54,15 +54,7 @@ def write_ply(path: Path, points: NDArray[Any], comments: Sequence[str] = ()) ->
 
 
 def read_ply(path: Path) -> tuple[NDArray[Any], list[str]]:
-    """Read the points of a PLY file that has them first, and its comments.
-
-    Raises
-    ------
-    OSError
-        If the file cannot be opened.
-    LightFieldError
-        If it is no PLY, is text or big endian, has lists in its points, or holds fewer points than it claims.
-    """
+    """Read the points of a binary, little endian PLY file that has them first, and its comments."""
     with path.open("rb") as file:
         start = file.read(_LONGEST)
     end = re.search(rb"\nend_header\r?\n", start)

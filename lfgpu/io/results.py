@@ -39,18 +39,6 @@ def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
 
     The arrays are `disparity`, `confidence`, the map after each stage as `stage_NAME` (such as `stage_sweep`) and, with
     a geometry, `depth` in metres, all float32 [y, x]; `trace`, float64; and `lfgpu`, the rest as one JSON text.
-
-    Parameters
-    ----------
-    result
-        What `estimate_depth` returned.
-    path
-        The file, with the suffix .npz.
-
-    Raises
-    ------
-    LightFieldError
-        If the suffix is another one or the file cannot be written.
     """
     _store_whole(Path(path), "a result is", arrays_of_result(result))
 
@@ -62,42 +50,18 @@ def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
     `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of those that were estimated themselves;
     `convention`, a sentence; `timings`, a JSON text; and the estimate of the reference view by itself under the names
     that `write_result` gives, with "reference_" before them.
-
-    Parameters
-    ----------
-    result
-        What `estimate_all_views` returned.
-    path
-        The file, with the suffix .npz.
-
-    Raises
-    ------
-    LightFieldError
-        If the suffix is another one or the file cannot be written.
     """
     _store_whole(Path(path), "maps of all views are", arrays_of_views(result))
 
 
 def read_result(path: str | os.PathLike[str]) -> DepthResult:
-    """Read what `write_result` wrote, also in a version of lfgpu with other parameters.
-
-    Raises
-    ------
-    LightFieldError
-        If the file is missing, damaged, not a result of lfgpu, or of a method that there is no more.
-    """
+    """Read what `write_result` wrote, also in a version of lfgpu with other parameters."""
     path = Path(path)
     return _result_of(path, _load(path))
 
 
 def read_views(path: str | os.PathLike[str]) -> ViewsResult:
-    """Read what `write_views` wrote.
-
-    Raises
-    ------
-    LightFieldError
-        As `read_result`.
-    """
+    """Read what `write_views` wrote."""
     path = Path(path)
     arrays = _load(path)
     if "disparities" not in arrays:

@@ -49,27 +49,13 @@ _barrier = threading.Lock()
 
 @dataclass(frozen=True)
 class RingFrame:
-    """A frame that a reader copied.
+    """A frame that a reader copied."""
 
-    Parameters
-    ----------
-    number
-        Of the frame, from 1.
-    views
-        [n, y, x, c], a copy.
-    valid
-        bool [n], False for cameras without a picture.
-    time_ns
-        What the producer gave, nanoseconds.
-    passed
-        Frames between the one that was read before and this one.
-    """
-
-    number: int
-    views: NDArray[Any]
-    valid: NDArray[np.bool_]
-    time_ns: int
-    passed: int
+    number: int  # of the frame, from 1
+    views: NDArray[Any]  # [n, y, x, c], a copy
+    valid: NDArray[np.bool_]  # bool [n], False for cameras without a picture
+    time_ns: int  # what the producer gave, nanoseconds
+    passed: int  # frames between the one that was read before and this one
 
 
 @dataclass(frozen=True)
@@ -288,18 +274,7 @@ class RingWriter:
 
 
 class RingReader:
-    """A reader's side of a ring buffer; any number of readers may read at once.
-
-    Parameters
-    ----------
-    path
-        The file, which its producer has made.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no such file, or it is no ring buffer.
-    """
+    """A reader's side of the ring buffer in a file that its producer has made; any number may read at once."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         _check_system()

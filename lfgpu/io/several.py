@@ -12,17 +12,7 @@ ANY_IMAGES = ("camera-row", "named-views", "row-folders")
 
 
 def sentence(folder: Path, chosen: str, kind: Callable[[Path], str | None]) -> str | None:
-    """Describe a folder that is taken for one light field and holds several; None if it does not.
-
-    Parameters
-    ----------
-    folder
-        The folder.
-    chosen
-        The name of its format, one that is also taken where only a folder inside is of it.
-    kind
-        The name of the format of a path, None if it is no light field.
-    """
+    """Describe a folder that holds several light fields and is taken for one of the format `chosen`; else None."""
     images = image_files(folder)
     if images:
         if chosen in ANY_IMAGES and all(lenslet.recognise(image) for image in {images[0], images[-1]}):

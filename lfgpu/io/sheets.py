@@ -29,11 +29,7 @@ _NEARLY = 0.85  # of the best share: multiples of the block explain as much as t
 
 
 def tiles_in(image: NDArray[Any], *, factor: int = 4) -> tuple[int, int] | None:
-    """Find (rows, columns) of the views that a picture [y, x, c] shows side by side; None if it shows none, or does not
-    tell how many.
-
-    It is looked at `factor` times smaller, so that patterns of fewer pixels say nothing.
-    """
+    """Find (rows, columns) of views side by side in a picture, `factor` times smaller; None if it does not tell."""
     grey = shrunk(image.mean(axis=2, dtype=np.float64), factor) if min(image.shape[:2]) >= 4 * factor else None
     if grey is None:
         return None
@@ -76,9 +72,7 @@ def _alike(grey: NDArray[np.float64], step: int) -> float:
 
 
 def block_in(image: NDArray[Any]) -> tuple[int | None, int | None]:
-    """Find (rows, columns) of the block under a microlens: the smallest that divides a picture [y, x, c] and with which
-    differences of neighbouring pixels repeat; None where they do not, as in some mosaics, or views are too small.
-    """
+    """Find (rows, columns) of the block under a microlens, with which differences of pixels repeat, or None."""
     grey = image.mean(axis=2, dtype=np.float32)
     return _period(np.abs(np.diff(grey, axis=0)).mean(axis=1)), _period(np.abs(np.diff(grey)).mean(axis=0))
 

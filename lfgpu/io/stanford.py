@@ -27,22 +27,12 @@ def recognise(path: Path) -> str | None:
 
 
 def read_stanford(path: Path) -> LightField:
-    """Read a folder of views that are named by row, column and position of the camera.
+    """Read a folder of views that are named by row, column and position of the camera, or a folder that holds it.
 
-    Positions are irregular, in the unit of the gantry. They become view steps by the median distance of neighbours in
-    a row (in a column where there is one only); both axes have the same unit, so that disparities mean the same on
-    both. X counts to the right and Y downwards, whatever the rows and columns of the names do; where the pictures tell
+    Positions are irregular, in the unit of the gantry. They become view steps by the median distance of neighbours in a
+    row (in a column where there is one only); both axes have the same unit, so that disparities mean the same on both.
+    X counts to the right and Y downwards, whatever the rows and columns of the names do; where the pictures tell
     otherwise of Y they are followed, with a note.
-
-    Parameters
-    ----------
-    path
-        The folder, or one that has it as a sub-folder (rectified).
-
-    Raises
-    ------
-    LightFieldError
-        If there are no such images, two stand in one place, or they are damaged or unlike.
     """
     folder = _folder(path)
     if folder is None:

@@ -19,15 +19,7 @@ _DEEP_KEY = re.compile(rf"(?<![\w-]){_PART}(?:\.[ \t]*{_PART}){{64}}")
 
 
 def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) -> str:
-    """Read a regular file of text in UTF-8, with or without a mark at its beginning.
-
-    Raises
-    ------
-    LightFieldError
-        If it cannot be read, is no regular file (a pipe would be waited for), or is longer than `largest` bytes.
-    UnicodeDecodeError
-        If it is not UTF-8, unless `errors` is "replace".
-    """
+    """Read a regular file of UTF-8 text of at most `largest` bytes; UnicodeDecodeError unless `errors` is "replace"."""
     with read_as(path):
         if not path.is_file():
             raise LightFieldError(f"{path} is not a file.")
@@ -39,13 +31,7 @@ def read_text(path: Path, *, errors: str = "strict", largest: int = _LARGEST) ->
 
 
 def read_json_or_toml(path: Path, *, largest: int = _LARGEST) -> Any:
-    """Parse a JSON file (.json) or a TOML file (any other suffix).
-
-    Raises
-    ------
-    LightFieldError
-        If it cannot be read, is too long, or is not valid.
-    """
+    """Parse a JSON file (.json) or a TOML file (any other suffix); LightFieldError if it is not valid."""
     kind = "JSON" if path.suffix.lower() == ".json" else "TOML"
     try:
         text = read_text(path, largest=largest)
@@ -64,17 +50,7 @@ _MOST = 10_000  # entries of a list
 
 
 class Members:
-    """The members of a JSON object in a file.
-
-    Parameters
-    ----------
-    path
-        The file, for sentences.
-    values
-        The object.
-    name
-        Where in the metadata it stands: "image.color"; "" for the whole.
-    """
+    """The members of a JSON object in a file; `name` is where in the metadata it stands, such as "image.color"."""
 
     def __init__(self, path: Path, values: dict[str, Any], name: str = "") -> None:
         self._path, self.values, self._name = path, values, name

@@ -11,13 +11,7 @@ _KINDS = {42: ("I", "H", 12), 43: ("Q", "Q", 20)}  # by version: how offsets and
 
 
 def pages(path: Path) -> Iterator[int]:
-    """Yield the offset of each page, as far as the file has them.
-
-    Raises
-    ------
-    LightFieldError
-        If a page is linked a second time, or there are more than anyone needs.
-    """
+    """Yield the offset of each page; LightFieldError if one is linked twice, or there are more than anyone needs."""
     with path.open("rb") as file:
         start = file.read(16)
         order = {b"II": "<", b"MM": ">"}.get(start[:2])

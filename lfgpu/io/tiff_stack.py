@@ -93,9 +93,7 @@ def _pages(path: Path, file: Any, *, as_stored: bool) -> tuple[NDArray[Any], str
 
 
 def _unfolded(path: Path, array: NDArray[Any], grid: tuple[int, int] | None, axes: str | None) -> NDArray[Any]:
-    """Split pages [n, y, x] that are planes of colours as `axes` says; LightFieldError asks for it where `grid` shows
-    that they are.
-    """
+    """Split pages [n, y, x] that are planes of colours as `axes` says; ask for it where `grid` shows that."""
     count = math.prod(grid or (0,)) or len(array) // _PLANES
     if array.ndim != 3 or len(array) != _PLANES * count:
         return array

@@ -22,22 +22,7 @@ def check_available(path: Path) -> Any:
 
 
 def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) -> Generator[NDArray[np.uint8]]:
-    """Yield the frames of a video one after the other, each uint8 [y, x, 3].
-
-    Parameters
-    ----------
-    file
-        The video.
-    name
-        What sentences call it; None is `file`.
-    demuxer
-        ffmpeg's name of the container, "h264" for a bare stream; None lets ffmpeg find out.
-
-    Raises
-    ------
-    LightFieldError
-        If imageio-ffmpeg is missing, or the file is no video or damaged.
-    """
+    """Yield the frames of a video, uint8 [y, x, 3]; messages say `name`; `demuxer` is ffmpeg's for a bare stream."""
     path = name or file
     ffmpeg = check_available(path)
     # Nothing but files, and no playlists: what is in the file must not reach out to others.
@@ -73,22 +58,7 @@ def recognise(path: Path) -> str | None:
 
 
 def read_video(path: Path, *, grid: tuple[int, int] | None = None, every: int | None = None) -> LightField:
-    """Read the frames of a video whose camera moves to the right in equal steps.
-
-    Parameters
-    ----------
-    path
-        An MP4, MOV, MKV, WebM or AVI file; frames become RGB of 8 bits.
-    grid
-        (1, n) for a camera that moves right, (n, 1) for down, n the number of frames taken; None is a row.
-    every
-        Take one frame of so many, from the first on; None takes all.
-
-    Raises
-    ------
-    LightFieldError
-        If imageio-ffmpeg is missing, the file is no video or damaged, or its frames do not fit into memory.
-    """
+    """Read the frames of a video whose camera moves right in equal steps, down with a grid (n, 1); one of `every`."""
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a video file that can be read; known are MP4, MOV, MKV, WebM and AVI.")
     taken = _taken(path, every or 1)

@@ -25,26 +25,10 @@ _COPIES = 3  # of which each has a view so many times
 
 
 def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, tuple[str, ...]]:
-    """Read image files into one array.
+    """Read image files, alike in size, colour and type, into one array in their order.
 
-    Parameters
-    ----------
-    files
-        At least one image file, in the order of the views.
-
-    Returns
-    -------
-    views
-        [n, y, x, c], c = 1 or 3, uint8, uint16 or float32 as in the files.
-    valid
-        bool [n, y, x], False where views are transparent; None if nothing is, or everything.
-    notes
-        One sentence for each kind of conversion that some of the files needed.
-
-    Raises
-    ------
-    LightFieldError
-        If a file cannot be read, differs from the first in size, colour or dtype, or if memory does not suffice.
+    Returns views [n, y, x, c] as stored; bool [n, y, x], False where they are transparent, None if nothing is, or
+    everything; and a sentence for each kind of conversion.
     """
     first, alpha, remarks = read_view(files[0])
     masks: list[NDArray[np.bool_] | None] = [None] * len(files)

@@ -22,27 +22,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Entry:
-    """A row of the registry of methods.
+    """A row of the registry of methods."""
 
-    Parameters
-    ----------
-    config
-        The configuration class; its `method` is the name.
-    presets
-        Complete parameters by name.
-    home
-        Module and class of the method as `module:Class`; loaded when it is first used.
-    label
-        What the method does, in a few words.
-    labels
-        What each preset is, in a few words, by its name.
-    """
-
-    config: type[Config]
-    presets: Mapping[str, Config]
-    home: str
-    label: str
-    labels: Mapping[str, str]
+    config: type[Config]  # the configuration class; its `method` is the name
+    presets: Mapping[str, Config]  # complete parameters by name
+    home: str  # module and class of the method as `module:Class`; loaded when it is first used
+    label: str  # what the method does, in a few words
+    labels: Mapping[str, str]  # what each preset is, in a few words, by its name
 
 
 METHODS: dict[str, Entry] = {
@@ -93,12 +79,7 @@ def preset(name: str) -> Config:
 def configured(config: Config | str, weights: str | os.PathLike[str] | None = None) -> Config:
     """Return the parameters that `config` is or names, with the weights of a file of `lfgpu train`.
 
-    With weights, the default preset stands for "learned".
-
-    Raises
-    ------
-    LightFieldError
-        If `config` is neither, if the file holds no weights, or if `config` has no network.
+    With weights, the default preset stands for "learned". LightFieldError if `config` has no network for them.
     """
     if weights is not None and config == next(iter(PRESETS)):
         config = "learned"

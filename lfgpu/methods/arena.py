@@ -17,16 +17,10 @@ _Kind = tuple[tuple[int, ...], str]
 class Arena:
     """Buffers on a device.
 
-    A named buffer keeps what is written into it. Who asks for the name of a buffer again gets the same one.
-
-    Scratch is lent to a pass while the pass is constructed, and the pass may use it during its calls only. Passes whose
-    scopes follow one another share it. A pass that calls another pass while its scratch holds something constructs that
-    pass inside its own scope: nested scopes share nothing.
-
-    Parameters
-    ----------
-    device
-        The device on which buffers lie.
+    A named buffer keeps what is written into it. Who asks for the name of a buffer again gets the same one. Scratch is
+    lent to a pass while the pass is constructed, and the pass may use it during its calls only. Passes whose scopes
+    follow one another share it. A pass that calls another pass while its scratch holds something constructs that pass
+    inside its own scope: nested scopes share nothing.
     """
 
     def __init__(self, device: Device) -> None:

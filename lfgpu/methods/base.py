@@ -39,27 +39,13 @@ Work: TypeAlias = Callable[[Callback | None], None]
 
 @dataclass(frozen=True)
 class Stage:
-    """One stage of a method.
+    """One stage of a method."""
 
-    Parameters
-    ----------
-    name
-        Its key in `Plan.stages`, `DepthResult.stages` and `DepthResult.timings`.
-    label
-        Its name for people, such as "further sweeps".
-    value
-        The name of the value that the stage reports after each iteration, such as "energy"; None without iterations.
-    unit
-        The unit of that number; None if it has none.
-    has_start
-        Whether there is such a number before the first iteration, too.
-    """
-
-    name: str
-    label: str
-    value: str | None = None
-    unit: str | None = None
-    has_start: bool = False
+    name: str  # its key in `Plan.stages`, `DepthResult.stages` and `DepthResult.timings`
+    label: str  # its name for people, such as "further sweeps"
+    value: str | None = None  # name of the value that it reports after each iteration, such as "energy"
+    unit: str | None = None  # unit of that number
+    has_start: bool = False  # True if there is such a number before the first iteration, too
 
 
 class Plan(Protocol):
@@ -122,13 +108,7 @@ class LivePlan(Protocol):
 
 
 class Method(ABC, Generic[C]):
-    """A method with its parameters.
-
-    Parameters
-    ----------
-    config
-        All parameters: an instance of the configuration class of the method.
-    """
+    """A method with its parameters, an instance of its configuration class."""
 
     STAGES: ClassVar[tuple[Stage, ...]]
     """All possible stages, in order."""
@@ -196,12 +176,8 @@ class Method(ABC, Generic[C]):
     ) -> Measured:
         """Measure the disparity range, or check the given one, and measure what else the method needs.
 
-        `views` and `held` are as for `find_disparity_range`.
-
-        Raises
-        ------
-        LightFieldError
-            If the given range is impossible for this light field, or none is found.
+        `views` and `held` are as for `find_disparity_range`. LightFieldError if the given range is impossible, or none
+        is found.
         """
         if disparity_range is not None:
             bounds = checked_range(disparity_range, lf.layout)
@@ -269,13 +245,7 @@ class Method(ABC, Generic[C]):
 
     @abstractmethod
     def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> Plan:
-        """Allocate the method for light fields of one layout.
-
-        Raises
-        ------
-        LightFieldError
-            If the method cannot work with these cameras.
-        """
+        """Allocate the method for light fields of one layout; LightFieldError if it cannot work with these cameras."""
 
     def live_plan(
         self,
@@ -286,13 +256,7 @@ class Method(ABC, Generic[C]):
         streaming: Streaming,
         prior: TemporalPrior,
     ) -> LivePlan:
-        """Allocate the method for a stream of frames of one layout, that of the used views.
-
-        Raises
-        ------
-        LightFieldError
-            If the method cannot run on streams.
-        """
+        """Allocate the method for a stream of frames of the used views; LightFieldError if it cannot run on streams."""
         raise LightFieldError(
             f"a stream needs a method that can start from the previous map, but the method {self.name} cannot do that; "
             "use another preset (`lfgpu live --help` lists them)."

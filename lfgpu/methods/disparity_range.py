@@ -71,32 +71,13 @@ class _Evidence:
 def find_disparity_range(
     lf: LightField, device: Device, *, views: Array | None = None, held: Sequence[int] | None = None
 ) -> tuple[float, float]:
-    """Find the range of disparities in the scene.
+    """Find the range (low, high) of disparities in the scene, pixels per view step, a small margin included.
 
     The nearest views are compared first, at up to 64 px between them (at most 0.4 of the views' shorter side), then
     farther ones in the range that this left. Views in the reference's row and column are compared; all, where it is
-    alone in both. All comparisons are made on views whose shorter side is shrunk to about 170 px.
-
-    Parameters
-    ----------
-    lf
-        The light field; masked pixels are left out.
-    device
-        The device on which views are compared. The host waits for the device once for each of two to ten comparisons.
-    views
-        Views [n, y, x, c] of `lf` as stored that are on the device already. Default None: those that are compared are
-        copied there.
-    held
-        Indices of `views` among those of `lf`. Default None: all.
-
-    Returns
-    -------
-    (low, high), pixels per view step, a small margin included.
-
-    Raises
-    ------
-    LightFieldError
-        If no pixel is evidence for any disparity.
+    alone in both. All comparisons are made on views whose shorter side is shrunk to about 170 px. The host waits for
+    the device once for each of two to ten comparisons. `views` are those of `lf`, of the indices `held`, that are on
+    the device already. LightFieldError if no pixel is evidence for any disparity.
     """
     shown = None if views is None else (views, range(len(lf.views)) if held is None else held)
     try:

@@ -60,13 +60,7 @@ class DryOperation:
 
 
 class DryKernels:
-    """Operations that count bytes and do nothing else.
-
-    Parameters
-    ----------
-    on_gpu
-        Whether the device is a GPU.
-    """
+    """Operations that count bytes and do nothing else."""
 
     name, dtype, compiles, streaming, recording = "dry", np.float32, False, None, None
 
@@ -188,20 +182,9 @@ class DryKernels:
 
 
 def dry_run(layout: ViewLayout, plan: Callable[[ViewLayout, Device], Any], *, on_gpu: bool) -> tuple[float, float]:
-    """Allocate a plan and run its stages, all dry.
+    """Allocate a plan for a layout and run its stages, all dry.
 
-    Parameters
-    ----------
-    layout
-        The layout of the views that come.
-    plan
-        Allocates a plan for a layout on a device.
-    on_gpu
-        Whether the device is a GPU.
-
-    Returns
-    -------
-    Bytes per pixel of a view that are needed, and that operations take besides where there is room.
+    Returns bytes per pixel of a view that are needed, and that operations take besides where there is room.
     """
     size = (_SIDE, _SIDE)
     mask = np.ones(size, np.bool_)

@@ -15,27 +15,14 @@ from lfgpu.errors import LightFieldError
 class Measured:
     """The disparity range and the noise of a light field: measured once, checked once, then passed on.
 
-    Parameters
-    ----------
-    disparity_range
-        (low, high) in pixels per view step.
-    noise
-        Root mean square difference between views that show the same point, intensity; None if the method does not use
-        it.
-    grain
-        Standard deviation of the noise of one view, intensity; None if it is unknown or the method does not use it.
-    spread
-        Standard deviations of the colours and of the gradients of the reference view, intensity; None if the method
-        does not use them.
-    exposure
-        Part of the range of intensities that the views use, `exposure_of`; 1 if it is unknown or not used. Default 1.
+    What a method does not use is None.
     """
 
-    disparity_range: tuple[float, float]
-    noise: float | None = None
-    grain: float | None = None
-    spread: tuple[float, float] | None = None
-    exposure: float = 1.0
+    disparity_range: tuple[float, float]  # (low, high) in pixels per view step
+    noise: float | None = None  # root mean square difference between views of the same point, intensity
+    grain: float | None = None  # standard deviation of the noise of one view, intensity
+    spread: tuple[float, float] | None = None  # standard deviations of colours and gradients of the reference view
+    exposure: float = 1.0  # part of the range of intensities that the views use (`exposure_of`)
 
 
 def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> tuple[float, float]:

@@ -12,17 +12,8 @@ UNLIKE_ANY = 10.0
 class NonLocalMeans:
     """The weights w_pq between pixels of a neighbourhood, computed from a reference image, and their operators.
 
-    Parameters
-    ----------
-    shape
-        (height, width, channels) of the reference image.
-    config
-        Window, patch and scales of the weights.
-    device
-        The device on which it runs. The weights and the workspace to compute them take window²
-        floats per pixel.
-    over_patch, gradients
-        Forms of the weights, see `lfgpu.contract.NlmWeights`.
+    The weights and the workspace to compute them take window² floats per pixel. `over_patch` and `gradients` are their
+    forms (`lfgpu.contract.NlmWeights`).
     """
 
     def __init__(

@@ -18,23 +18,8 @@ class LocalEstimator:
 
     EPIs are sheared to base disparities that cover the range. A sheared EPI gives estimates near its base disparity
     only; of all estimates at a pixel the most coherent one is kept. Positions are measured in steps between
-    neighbouring cameras of the line, because aliasing starts at about 1 pixel per such step.
-
-    Parameters
-    ----------
-    layout
-        The layout of the views.
-    disparity_range
-        (low, high) of the disparities that are searched, pixels per view step.
-    config
-        Scales, shears and threshold.
-    device
-        The device on which it runs.
-
-    Raises
-    ------
-    LightFieldError
-        If neither the row nor the column of the reference view has a second view.
+    neighbouring cameras of the line, because aliasing starts at about 1 pixel per such step. LightFieldError if neither
+    row nor column has a second view.
     """
 
     def __init__(

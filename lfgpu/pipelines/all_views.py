@@ -164,18 +164,10 @@ def _pipelines(
 
 
 class Join:
-    """Join of the maps of the key views to the map of any view.
+    """Join of the maps of the key views, masked by `valid` [k, y, x], to the map of any view.
 
-    Parameters
-    ----------
-    estimates
-        The estimates of the key views.
-    valid
-        bool [k, y, x], False where a key view is masked; None if nothing is masked.
-    device
-        The backend and the device that warp maps into other views; the rest runs on the host.
-    tolerance
-        Largest difference between disparities of the same surface, pixels per view step.
+    Disparities of one surface differ by at most the `tolerance`. The device warps maps into other views; the rest runs
+    on the host.
     """
 
     def __init__(

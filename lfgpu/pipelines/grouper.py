@@ -21,22 +21,11 @@ _SMOOTHING = 0.05  # weight of the latest picture in a camera's mean delay
 
 @dataclass(frozen=True, eq=False)
 class FrameGroup:
-    """Pictures of all cameras that were taken at about the same time.
+    """Pictures of all cameras that were taken at about the same time, for `DepthStream.push`."""
 
-    Parameters
-    ----------
-    views
-        [n, y, x, c]; 0 where a camera is missing.
-    valid
-        bool [n], True for cameras with a picture. `DepthStream.push(group.views, valid=group.valid,
-        stamps=group.stamps)` takes them.
-    stamps
-        float64 [n], seconds, as the recorder gave them; NaN where a camera is missing.
-    """
-
-    views: NDArray[Any]
-    valid: NDArray[np.bool_]
-    stamps: Float64Array
+    views: NDArray[Any]  # [n, y, x, c]; 0 where a camera is missing
+    valid: NDArray[np.bool_]  # bool [n], True for cameras with a picture
+    stamps: Float64Array  # float64 [n], seconds, as the recorder gave them; NaN where a camera is missing
 
     @property
     def stamp(self) -> float:

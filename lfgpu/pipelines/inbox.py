@@ -19,16 +19,8 @@ Slot = TypeVar("Slot")
 class Inbox(Generic[Frame, Slot]):
     """Queue of frames in order, each with a slot that holds its data. It may be used from any thread.
 
-    Parameters
-    ----------
-    policy
-        With "block", adding a frame waits until there is space. Otherwise the oldest waiting frame is dropped.
-    waiting
-        How many frames may wait, >= 1.
-    slots
-        Buffers for the data of frames; more than `waiting`, because one is being filled and one is being read.
-    drop
-        Called with each dropped frame, while no lock is held.
+    With the policy "block", adding a frame waits until there is space; else the oldest of more than `waiting` frames is
+    dropped, of which `drop` is told while no lock is held. There are more `slots`: one is being filled and one read.
     """
 
     def __init__(self, policy: str, waiting: int, slots: list[Slot], drop: Callable[[Frame], None]) -> None:

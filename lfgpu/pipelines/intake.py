@@ -21,17 +21,7 @@ _MOST_COPIERS = 8
 
 
 class Intake:
-    """Intake of frames of one kind, from any thread.
-
-    Parameters
-    ----------
-    lf
-        A light field of that kind, with all views.
-    used
-        Indices of the views that are used; the others are not read.
-    device
-        Where the stream is.
-    """
+    """Intake of frames of the kind of a light field, from any thread; only `used` views are read."""
 
     def __init__(self, lf: LightField, used: Sequence[int], device: str) -> None:
         self._expected, self._grid = (lf.views.shape, lf.views.dtype), lf.grid_shape

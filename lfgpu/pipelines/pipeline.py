@@ -469,14 +469,7 @@ def measured_on(
 ) -> tuple[Measured, tuple[str, ...]]:
     """Measure range and noise on the first of many light fields; a range that is found is confirmed (`confirm_range`).
 
-    Returns
-    -------
-    The measures, and a sentence if surfaces may lie beyond the range that was found, which is also logged.
-
-    Raises
-    ------
-    LightFieldError, BackendError
-        As `DepthPipeline`.
+    Returns also a sentence if surfaces may lie beyond the range that was found, which is logged as well.
     """
     if disparity_range is not None:
         return method_of(config).measure(lf, open_device(backend, device), disparity_range=disparity_range), ()

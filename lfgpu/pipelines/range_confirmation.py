@@ -32,22 +32,9 @@ def confirm(
     """Match within a wider range than the found one while surfaces lie at its ends after all.
 
     A found range has margins in which no surface lies. Surfaces beyond it are matched to its ends, and a wider range
-    has nothing there. If it has, as with views of pure noise, the last range is the found one again.
-
-    Parameters
-    ----------
-    layout
-        The layout of the light field.
-    found
-        (low, high), pixels per view step.
-    matched
-        The map [y, x] that was matched within it, pixels per view step, before anything else; NaN where it is unknown.
-    match
-        Called with each further range; returns the map that was matched within it.
-
-    Returns
-    -------
-    A sentence if surfaces may lie beyond the found range all the same; else None.
+    has nothing there. If it has, as with views of pure noise, the last range is the found one again. `matched` is the
+    map [y, x] within it before anything else; `match` returns that within a further range. Returns a sentence if
+    surfaces may lie beyond the found range all the same.
     """
     bounds, most = found, largest_disparity(layout)
     for tries in range(_TRIES + 1):

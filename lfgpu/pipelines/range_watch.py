@@ -30,15 +30,7 @@ _LOG = logging.getLogger(__name__)
 
 
 class RangeWatch:
-    """Watch over the maps of a stream; it says once for each end that the range is too small.
-
-    Parameters
-    ----------
-    bounds
-        (low, high) of the disparities, pixels per view step.
-    first
-        The first views, if the range was given. Default None: it was found in them, or there are none.
-    """
+    """Watch over the maps of a stream; it says once for each end that the range, found or given, is too small."""
 
     def __init__(self, bounds: tuple[float, float], first: LightField | None = None) -> None:
         self._bounds, self._first = bounds, first
@@ -56,9 +48,7 @@ class RangeWatch:
     def look(self, disparity: Float32Array, *, is_new: bool) -> bool:
         """Look at a map [y, x], and ask for a search if need be; `is_new` says that the scene is another one.
 
-        Returns
-        -------
-        True if many pixels of the map lie at one end of the range (`at_ends`).
+        Returns True if many pixels of the map lie at one end of the range (`at_ends`).
         """
         beyond = at_ends(disparity, self._bounds)
         if is_new or beyond.keys() - self._said.keys():

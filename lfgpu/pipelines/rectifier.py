@@ -132,16 +132,7 @@ class Rectifier:
 class DeviceViews:
     """Views on a device for a plan: those of each frame as they are, or rectified there from raw pictures.
 
-    Parameters
-    ----------
-    rectifier
-        The rectifier of the raw pictures; None if frames are views.
-    pictures
-        The first frame, which also gives the stored type.
-    device
-        Where; the caller holds `device.asking()`, or nobody else asks it.
-    used
-        Indices of the cameras that are used; None uses all.
+    The first frame gives the stored type. The caller holds `device.asking()`, or nobody else asks it.
     """
 
     def __init__(

@@ -24,13 +24,6 @@ class Rehearsal:
 
     Kernels are compiled when they are first used, which takes seconds to a minute, and kept on the disk. Which ones are
     used depends on the method, the stored type, channels, number and masks of the views, and a little on the range.
-
-    Parameters
-    ----------
-    method, lf, device
-        The method that will run, a light field of the kind, and where.
-    used
-        Indices of the views that are used; None (default) uses all.
     """
 
     def __init__(

@@ -21,17 +21,10 @@ _LIMIT = 2**31  # bytes
 
 
 class Resident:
-    """Pipelines for light fields of several kinds, which stay in memory between estimates.
+    """Pipelines for light fields of several kinds, of which `most` and about `limit` bytes stay between estimates.
 
     An estimate takes the pipeline of its kind away meanwhile: other threads that need one make their own. A result does
     not depend on the light fields before.
-
-    Parameters
-    ----------
-    most
-        Number of pipelines that stay.
-    limit
-        Bytes that they may take, about. Default: any number.
     """
 
     def __init__(self, most: int, limit: float = math.inf) -> None:
@@ -65,17 +58,7 @@ class Resident:
         on_progress: Progress | None = None,
         **options: Any,
     ) -> DepthResult:
-        """Estimate a light field.
-
-        Parameters
-        ----------
-        lf, measured, disparity_range
-            The light field, and its range and noise as for `DepthPipeline`.
-        on_progress
-            As for `estimate_depth`.
-        options
-            Further keywords of `DepthPipeline`, which can be compared.
-        """
+        """Estimate a light field; `options` are further keywords of `DepthPipeline`, which can be compared."""
         masks = None if lf.valid is None else sha256(np.packbits(lf.valid).tobytes()).digest()
         kind = lf.views.shape, lf.views.dtype.str, lf.scale, lf.positions.tobytes(), lf.reference_index, masks
         key = (*kind, *options.items())

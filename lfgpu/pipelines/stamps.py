@@ -41,15 +41,7 @@ def checked_stamps(stamps: Any, valid: NDArray[np.bool_]) -> Float64Array:
 
 
 class StampWatch:
-    """Watch over the stamps of a stream's frames; it says once that cameras do not record together.
-
-    Parameters
-    ----------
-    tolerance
-        Seconds by which the stamps of a frame may differ; None is any.
-    used
-        Indices of the views that maps are made from.
-    """
+    """Watch over the stamps of a stream's frames; it says once if `used` cameras are more than the tolerance apart."""
 
     def __init__(self, tolerance: float | None, used: Sequence[int]) -> None:
         self._tolerance, self._used = checked_tolerance(tolerance), list(used)

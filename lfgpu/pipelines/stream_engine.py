@@ -43,20 +43,9 @@ class Level:
 
 
 class Engine:
-    """Device side of a stream, which solves one frame after the other.
+    """Device side of a stream, which solves one frame after the other, in at most `budget_ms` of device time.
 
-    Parameters
-    ----------
-    lf, pictures
-        The first frame as a light field, and as it came: raw pictures if there is a rectifier.
-    rectifier, device, streaming
-        As for `DepthStream`.
-    method, measured, prior
-        The method, its measures, and the prior; None estimates each frame independently.
-    budget_ms
-        Device time per frame, milliseconds; None is no limit.
-    results
-        Number of results that memory is allocated for.
+    `lf` is the first frame as a light field, `pictures` as it came: raw pictures if there is a rectifier.
     """
 
     def __init__(

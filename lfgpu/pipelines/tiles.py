@@ -54,26 +54,9 @@ class Plan:
 def plan_tiles(
     size: tuple[int, int], halo: tuple[int, int], needed: Footprint, limit: int, *, taken: int = 0, devices: int = 1
 ) -> Plan:
-    """Find the layout of tiles that takes the least time within a memory limit.
+    """Find the layout of tiles with a halo (y, x) that takes the least time within a memory limit.
 
-    Parameters
-    ----------
-    size
-        (height, width) of the views.
-    halo
-        (y, x), pixels.
-    needed
-        Memory of the estimate of one tile.
-    limit, taken
-        Memory limit, and the part of it that is taken already, bytes.
-    devices
-        Number of devices that work at the same time. The time is taken to be proportional to the pixels of the device
-        with the most tiles.
-
-    Raises
-    ------
-    LightFieldError
-        If no layout fits into the limit.
+    The time is taken to be proportional to the pixels of the device with the most tiles. LightFieldError if none fits.
     """
     along = [_cuts(length, edge) for length, edge in zip(size, halo, strict=True)]
     plans = [

@@ -41,21 +41,11 @@ _SHOW_NOTHING = (
 
 @dataclass(frozen=True)
 class Verdict:
-    """Verdict of the views on the maps of a light field, whichever view these are of.
+    """Verdict of the views on the maps of a light field, whichever view these are of."""
 
-    Parameters
-    ----------
-    note
-        A sentence against the given range, or about views that show nothing; None if there is nothing to say.
-    shows_nothing
-        The views show no disparity at all.
-    cameras
-        A look at the cameras; None if nothing can be wrong with them, if there is a `note`, or if nobody looked.
-    """
-
-    note: str | None = None
-    shows_nothing: bool = False
-    cameras: Look | None = None
+    note: str | None = None  # sentence against the given range, or about views that show nothing
+    shows_nothing: bool = False  # the views show no disparity at all
+    cameras: Look | None = None  # None if nothing can be wrong, there is a `note`, or nobody looked
 
     def on(self, lf: LightField, result: DepthResult) -> DepthResult:
         """Add the notes and remarks to a result of the reference view of `lf`, and lower its confidence accordingly."""

@@ -131,9 +131,7 @@ def times(seconds: Mapping[str, float]) -> Figure:
 def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, float]:
     """Draw the cameras at their places, coloured by how well they are predicted, with arrows of their left-over shifts.
 
-    Returns
-    -------
-    The figure, and the shift in pixels whose arrow is as long as two cameras are apart.
+    Returns the figure, and the shift in pixels whose arrow is as long as two cameras are apart.
     """
     places = found.positions
     apart = _least_distance(places)

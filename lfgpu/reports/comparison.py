@@ -17,22 +17,7 @@ _MOST = 120_000  # pixels of a picture: there are many
 
 
 def write_comparison(path: Path, scenes: Sequence[Scene], scored: Table) -> None:
-    """Write the page atomically.
-
-    Parameters
-    ----------
-    path
-        The file.
-    scenes
-        The scenes with the maps of all methods.
-    scored
-        Their scores.
-
-    Raises
-    ------
-    LightFieldError
-        If the file cannot be written.
-    """
+    """Write the page of scenes, the maps of all methods and their scores; whole or not at all."""
     number = f"{len(scenes)} scene{'s' * (len(scenes) > 1)}"
     page = rendered(
         "comparison.html",

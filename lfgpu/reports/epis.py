@@ -24,18 +24,10 @@ _STEEP = 0.4  # pixels in the farthest view, from a pixel to the next: what is l
 
 @dataclass(frozen=True)
 class Point:
-    """A point of the reference view.
+    """A point of the reference view."""
 
-    Parameters
-    ----------
-    letter, what
-        Its letter in the report, and what is there.
-    x, y
-        The pixel.
-    """
-
-    letter: str
-    what: str
+    letter: str  # its letter in the report
+    what: str  # what is there
     x: int
     y: int
 
@@ -70,9 +62,7 @@ def find_points(lf: LightField, disparity: Float32Array) -> list[Point]:
 
 
 def epi_cards(lf: LightField, disparity: Float32Array, point: Point) -> Iterator[Card]:
-    """Draw the EPIs of the image row and of the image column of a point, enlarged, with the line that its disparity
-    says.
-    """
+    """Draw the EPIs of the image row and column of a point, enlarged, with the line that its disparity says."""
     slope = float(disparity[point.y, point.x])
     for name, indices, lines, at, of in (
         ("row", lf.row(), lf.epi_horizontal, point.x, point.y),
@@ -88,9 +78,7 @@ def epi_cards(lf: LightField, disparity: Float32Array, point: Point) -> Iterator
 def _enlarged(
     epi: NDArray[np.uint8], offsets: NDArray[np.float64], at: int, slope: float
 ) -> tuple[NDArray[np.uint8], Mark]:
-    """Cut out a part of an EPI [view, pixel, 3], each pixel a whole rectangle; returns it and the line through pixel
-    `at`.
-    """
+    """Cut out a part of an EPI [view, pixel, 3] in whole rectangles; returns it and the line through pixel `at`."""
     beside = max(_LEAST, int(np.ceil(np.abs(slope * offsets).max())) + _BESIDE)
     first, last = max(0, at - beside), min(epi.shape[1], at + beside + 1)
     across = max(1, _WIDE // (last - first))

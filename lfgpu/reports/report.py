@@ -42,24 +42,12 @@ _PARTS = {_COMPILE: "compiling and loading kernels", "measure": "range and noise
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a result, as far as the result does not say it itself. What is empty or None is left out.
+    """Origin of a result, as far as the result does not say it itself. What is empty or None is left out."""
 
-    Parameters
-    ----------
-    source
-        The light field's file or folder.
-    command
-        The command line.
-    written
-        The date of the report.
-    product
-        The product name of the device that computed the result.
-    """
-
-    source: str = ""
-    command: str = ""
-    written: datetime | None = None
-    product: str | None = None
+    source: str = ""  # the light field's file or folder
+    command: str = ""  # the command line
+    written: datetime | None = None  # the date of the report
+    product: str | None = None  # product name of the device that computed the result
 
 
 def write_report(

@@ -36,16 +36,9 @@ _SUNRISE = np.array(
 
 
 class Stage:
-    """The environment in which a scene is built: the frame, the region that all views see, randomness and textures.
+    """The environment of a scene: the frame of the middle view, the region that all views see, randomness and textures.
 
-    Parameters
-    ----------
-    frame
-        The middle view and the disparity range.
-    farthest
-        The largest |du| and |dv| of a view from the middle view.
-    rng
-        The random generator.
+    `farthest` are the largest |du| and |dv| of a view from the middle view.
     """
 
     def __init__(self, frame: Frame, farthest: tuple[float, float], rng: np.random.Generator) -> None:
@@ -67,9 +60,7 @@ class Stage:
         return float(self.rng.uniform(-size, size))
 
     def place(self, x: float, y: float, t: float) -> NDArray[np.float64]:
-        """Return a point from shares of the picture's half width and height (-1 to 1) and of the disparity range (0 to
-        1).
-        """
+        """Return a point from shares of half the width and height (-1 to 1) and of the disparity range (0 to 1)."""
         return np.array([x * self.half[0], y * self.half[1], t])
 
     def paint(self) -> Texture:
@@ -97,9 +88,7 @@ class Stage:
         return Wall(np.array([0.0, 0.0, (near + far) / 2]), _plane_edges(grade))
 
     def floor(self, horizon: float, far: float, near: float) -> Wall:
-        """Place a plane that rises from T = `far` at the share `horizon` of the half height to `near` at the lower
-        edge.
-        """
+        """Place a plane from T = `far` at the share `horizon` of the half height to `near` at the lower edge."""
         top = horizon * self.half[1]
         grade = (near - far) / (self.reach[1] - top)
         grade = min(

@@ -23,21 +23,11 @@ _SHINE = 40.0  # exponent of highlights (Blinn and Phong)
 
 @dataclass(frozen=True, eq=False)
 class Lamps:
-    """Lamps of one room, and its ambient light; powers are in linear light.
+    """Lamps of one room, and its ambient light; powers are in linear light."""
 
-    Parameters
-    ----------
-    slopes
-        [k, 2], the slope (U, V) of the rays of each lamp.
-    power
-        [k], brightness of a white surface that faces the lamp.
-    ambient
-        Brightness of a white surface that no lamp lights.
-    """
-
-    slopes: Floats
-    power: Floats
-    ambient: float
+    slopes: Floats  # [k, 2], the slope (U, V) of the rays of each lamp
+    power: Floats  # [k], brightness of a white surface that faces the lamp
+    ambient: float  # brightness of a white surface that no lamp lights
 
     def on(self, points: Floats, normals: Floats, things: list[Thing]) -> tuple[Floats, Floats]:
         """Compute the light that falls on points [3, k], past all things that have bounds, and their highlights."""
@@ -60,18 +50,9 @@ class Lamps:
 
 
 def lit(things: list[Thing], lamps: Lamps, unit: int, reach: NDArray[np.float64]) -> list[Thing]:
-    """Return the things of a scene with their light in their textures.
+    """Return the things of a scene with the light of lamps in their textures, of `unit` pixels per scene unit.
 
-    Parameters
-    ----------
-    things
-        The scene.
-    lamps
-        Its light.
-    unit
-        Pixels per scene unit.
-    reach
-        (x, y): half the size of the region that all views see, scene units.
+    `reach` is half the size (x, y) of the region that all views see, scene units.
     """
     sheets = [_Sheet(thing, unit, reach) for thing in things]
     points, normals = (np.concatenate(parts, 1) for parts in zip(*((s.points, s.normals) for s in sheets), strict=True))

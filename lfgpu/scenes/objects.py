@@ -206,14 +206,7 @@ class Disc(_Flat):
 class Relief:
     """A smooth height field T = level + sum_i amplitude_i * sin(X*kx_i + Y*ky_i + phase_i).
 
-    Each ray meets it exactly once as long as `steepness` stays below 1 for the slopes of all views.
-
-    Parameters
-    ----------
-    level
-        T of the field's mean.
-    waves
-        [k, 4]: amplitude, kx, ky, phase of each wave.
+    Each ray meets it exactly once as long as `steepness` stays below 1 for the slopes of all views. `waves` are [k, 4].
     """
 
     level: float

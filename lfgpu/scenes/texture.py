@@ -16,18 +16,11 @@ Tile = NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A periodic colour texture on the plane.
-
-    Parameters
-    ----------
-    tile
-        float32 [c, n, n] in [0, 1], `TEXELS_PER_PIXEL` texels per pixel, n a power of two; or [c, 1, 1], one colour.
-    origin
-        Position (x, y) of the first texel of the tile, pixels.
-    """
+    """A periodic colour texture on the plane."""
 
     tile: NDArray[np.float32]
-    origin: tuple[float, float] = (0.0, 0.0)
+    """Float32 [c, n, n] in [0, 1], `TEXELS_PER_PIXEL` a pixel, n a power of two; or one colour."""
+    origin: tuple[float, float] = (0.0, 0.0)  # position (x, y) of the first texel of the tile, pixels
 
     def moved(self, by: NDArray[np.float64]) -> Texture:
         """Return the texture moved by (x, y) pixels."""
@@ -61,15 +54,7 @@ def _texels(pixels: NDArray[np.float64], side: int) -> tuple[NDArray[np.intp], N
 
 
 class Painter:
-    """Makes textures from one shared tile of noise, which is slow to compute.
-
-    Parameters
-    ----------
-    rng
-        The random generator.
-    period
-        Period of the textures in pixels, a power of two.
-    """
+    """Makes textures from one shared tile of noise, which is slow to compute; `period` is a power of two, pixels."""
 
     def __init__(self, rng: np.random.Generator, period: int) -> None:
         self._rng = rng
@@ -106,9 +91,7 @@ class Painter:
         return self._blend(colours, np.where(joint, 1.0, 0.5 * shades), grain)
 
     def stripes(self, colours: ArrayLike, grain: float, width: float, turn: tuple[int, int]) -> Texture:
-        """Paint wavy stripes, each about `width` pixels wide; `turn` (x, y) is their direction across in small
-        integers.
-        """
+        """Paint wavy stripes, about `width` pixels wide; `turn` (x, y) is their direction across in small integers."""
         times = self._times(2 * width * float(np.hypot(*turn)))
         wave = np.sin(times * (turn[0] * self._x + turn[1] * self._y) + 0.8 * self._swell)
         return self._blend(colours, 0.5 + 0.5 * np.tanh(3 * wave), grain)

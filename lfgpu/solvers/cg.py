@@ -9,17 +9,8 @@ from lfgpu.solvers.solution import Solution
 class ConjugateGradients:
     """Solves A x = b for symmetric positive definite A. It runs entirely on the device, so that it can be captured.
 
-    Parameters
-    ----------
-    shape
-        (height, width) of the fields.
-    device
-        The device on which it runs.
-    tolerance
-        Stop when √(rᵀ M r) <= tolerance * √(bᵀ M b), with the residual r = b - A x and the preconditioner M. In this
-        norm, unknowns with small and large diagonal entries count the same.
-    max_iterations
-        Largest number of iterations.
+    It stops when √(rᵀ M r) <= tolerance * √(bᵀ M b), with the residual r = b - A x and the preconditioner M. In this
+    norm, unknowns with small and large diagonal entries count the same.
     """
 
     def __init__(self, shape: Sequence[int], device: Device, *, tolerance: float, max_iterations: int) -> None:

@@ -18,21 +18,8 @@ class BoundedLbfgs:
 
     Each iteration tries a step along the direction of the two-loop recursion, clamped to the bounds. If the value falls
     enough (Armijo), the trial is accepted, and its step and gradient change are stored; otherwise the step is
-    shortened. Pixels at an active bound are left out of the direction. The recursion starts from the given curvature
-    of each pixel, if any.
-
-    Parameters
-    ----------
-    shape
-        (height, width) of the map.
-    bounds
-        (low, high) of every pixel.
-    device
-        The device on which it runs.
-    tolerance
-        Stop when the mean decrease over five iterations is below this share of the first value.
-    max_iterations
-        Largest number of iterations.
+    shortened. Pixels at an active bound are left out of the direction. The recursion starts from the given curvature of
+    each pixel, if any. It stops when the mean decrease over five iterations is below `tolerance` of the first value.
     """
 
     def __init__(

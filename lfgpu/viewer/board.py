@@ -41,13 +41,7 @@ class Stream:
 
 
 class Board:
-    """The state of a viewer. All methods may be called from any thread.
-
-    Parameters
-    ----------
-    allow_open
-        Whether pages may open any path; else those only that `load` was given, and what lies in them.
-    """
+    """The state of a viewer, whose pages open any path if `allow_open`. Methods may be called from any thread."""
 
     def __init__(self, *, allow_open: bool = False) -> None:
         self._lock = threading.RLock()
@@ -233,16 +227,7 @@ class Board:
         self.tell()
 
     def offer(self, *, pause: Switch | None = None, record: Switch | None = None) -> None:
-        """Offer buttons for a stream on all pages.
-
-        Parameters
-        ----------
-        pause
-            Called with True when somebody pauses the stream, and with False when it shall go on. Default None: there is
-            no such button.
-        record
-            Called with True when somebody starts to record, and with False at the end. Default None: no such button.
-        """
+        """Offer buttons for a stream on all pages: `pause` and `record` take True when switched on, else False."""
         offered = {"pause": pause, "record": record}
         self.switches = {name: switch for name, switch in offered.items() if switch is not None}
         self.tell()

@@ -58,20 +58,7 @@ def shown_cloud(
 ) -> Cloud:
     """Choose the points of a map, those of `lfgpu.point_cloud` without a few outliers and those between surfaces.
 
-    Parameters
-    ----------
-    values
-        The map; one without a geometry has points whose depth is the disparity itself.
-    colours
-        uint8 [y, x, 3], those of the points.
-    least_confidence
-        Pixels of a smaller confidence have no point.
-    most_points
-        See `MOST_POINTS`.
-
-    Returns
-    -------
-    The cloud; one of no points where nothing is left.
+    A map without a geometry has points whose depth is the disparity itself. Pixels of a smaller confidence have none.
     """
     step = max(1, int(np.ceil(np.sqrt(values.disparity.size / most_points))))
     geometry, disparity = values.geometry, values.disparity[::step, ::step]

@@ -209,14 +209,9 @@ class Contents:
         return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
 
     def with_frame(self, entry: Entry, views: NDArray[Any] | None) -> Contents:
-        """Take the newest frame of a stream: its map, and its views if they are given.
+        """Take the newest frame of a stream: its map, and its views if they are given; LightFieldError if sizes differ.
 
         The truth goes with the views that it belongs to. A map without its views belongs to an unknown frame.
-
-        Raises
-        ------
-        LightFieldError
-            If sizes or types are not those of what is shown.
         """
         if views is None or self.lf is None:
             return self.with_entry(LIVE, replace(entry, frame=None))
@@ -259,13 +254,7 @@ class Contents:
 
 
 def opened(path: Path, into: Contents) -> Contents:
-    """Open a path: a light field replaces everything in `into`, a map is added to it.
-
-    Raises
-    ------
-    LightFieldError
-        If the path is missing, is neither a light field nor a map, or is a map of another size.
-    """
+    """Open a path: a light field replaces everything in `into`, a map of its size is added to it."""
     if not path.exists():
         raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
     if holds_maps_of_frames(path):
@@ -289,20 +278,9 @@ def _is_map(path: Path) -> bool:
 
 
 def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:
-    """Open several paths together: at most one light field, and maps of it.
+    """Open several paths together: at most one light field, and maps of its size.
 
-    Parameters
-    ----------
-    paths
-        In any order, unless there are options for reading.
-    reading
-        Options of `lfgpu.read`. If there are any, the first path is read as the light field.
-
-    Raises
-    ------
-    LightFieldError
-        If a path is missing, or is neither a light field nor a map; if two are light fields; or if a map is of
-        another size than the light field.
+    If there are options of `lfgpu.read` in `reading`, the first path is read as the light field.
     """
     contents = Contents()
     if reading:

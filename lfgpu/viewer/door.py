@@ -15,15 +15,7 @@ _REST = 0.5  # seconds without new connections, if the process can open nothing 
 
 
 class Door:
-    """Listening socket of a server, which is never full of connections that say nothing.
-
-    Parameters
-    ----------
-    server
-        The server that answers.
-    listening
-        The socket, bound and listening.
-    """
+    """Listening socket of a server, which is never full of connections that say nothing."""
 
     def __init__(self, server: HTTPServer, listening: socket.socket) -> None:
         self._server, self._socket, self._loop = server, listening, IOLoop.current()

@@ -15,21 +15,11 @@ from lfgpu.io.live_maps import LOG, LiveMaps, fingerprint
 
 @dataclass(frozen=True)
 class Film:
-    """Light fields of the same cameras, one after the other.
+    """Light fields of the same cameras, one after the other."""
 
-    Parameters
-    ----------
-    path
-        The folder of the frames.
-    frames
-        The folder of each frame by its number, in order.
-    maps
-        The maps of the frames; None if there are none.
-    """
-
-    path: Path
-    frames: dict[int, Path]
-    maps: LiveMaps | None = None
+    path: Path  # the folder of the frames
+    frames: dict[int, Path]  # the folder of each frame by its number, in order
+    maps: LiveMaps | None = None  # the maps of the frames, if there are some
 
     @classmethod
     def of(cls, path: Path) -> Film | None:
@@ -49,13 +39,7 @@ class Film:
         return replace(read(self.frames[number], allow_missing=True), name=self.name)
 
     def with_maps(self, path: Path, number: int) -> Film:
-        """Return the film with the maps in a folder.
-
-        Raises
-        ------
-        LightFieldError
-            If they are no maps of this film: none is of its frame `number`.
-        """
+        """Return the film with the maps in a folder; LightFieldError if none is of its frame `number`."""
         maps = LiveMaps.of(path)
         if maps.number(_of(self.light_field(number)), number) is None:
             raise LightFieldError(

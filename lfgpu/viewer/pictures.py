@@ -56,13 +56,7 @@ def intensities(pixels: NDArray[Any], lf: LightField) -> NDArray[Any]:
 
 
 def view_tile(lf: LightField, index: int, level: int, column: int, row: int) -> NDArray[Any]:
-    """Return a tile [y, x, c] of a view, in which each pixel is the mean over 2**level x 2**level pixels.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no such view or tile.
-    """
+    """Return a tile [y, x, c] of a view, in which each pixel is the mean over 2**level x 2**level pixels."""
     if not 0 <= index < len(lf.views):
         raise LightFieldError(f"there is no view {index}; there are {len(lf.views)}.")
     y, x = _window(lf.size, level, column, row)
@@ -77,13 +71,7 @@ def map_tile(values: NDArray[np.float32], level: int, column: int, row: int) -> 
 
 
 def histogram(values: NDArray[np.float32], low: float, high: float, bins: int) -> NDArray[np.float32]:
-    """Compute the percent of the defined pixels of a map in each of equal bins from `low` to `high`.
-
-    Raises
-    ------
-    LightFieldError
-        If there are no such bins.
-    """
+    """Compute the percent of the defined pixels of a map in each of equal bins from `low` to `high`."""
     if not (low < high and 1 <= bins <= _MOST_BINS):
         raise LightFieldError(f"there are no {bins} bins from {low} to {high}.")
     known = values[np.isfinite(values)]
@@ -114,14 +102,7 @@ def thumbnails(lf: LightField) -> NDArray[np.uint8]:
 def refocused(
     lf: LightField, disparity: float, aperture: float | None, level: int, column: int, row: int, side: int
 ) -> NDArray[Any]:
-    """Render a tile [y, x, c] of the view of a lens focused on a disparity, 2**level times smaller. See
-    `lfgpu.refocus`.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no such tile.
-    """
+    """Render a tile [y, x, c] of `lfgpu.refocus`, 2**level times smaller; LightFieldError if there is no such tile."""
     import_all()
     from lfgpu.viz.refocusing import refocus, spread, within
     from lfgpu.viz.splines import LINEAR
@@ -136,13 +117,7 @@ def refocused(
 
 
 def sharp(contents: Contents, name: str, stage: str, level: int, column: int, row: int, side: int) -> NDArray[Any]:
-    """Render a tile [y, x, c] of the reference view from all views, in focus everywhere, 2**level times smaller.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no map, or no such tile.
-    """
+    """Render a tile [y, x, c] of the reference view from all views, in focus everywhere, 2**level times smaller."""
     import_all()
     from lfgpu.viz.refocusing import all_in_focus, spread
     from lfgpu.viz.splines import LINEAR

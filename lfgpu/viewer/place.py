@@ -29,18 +29,7 @@ def check_installed() -> None:
 
 
 class Place:
-    """A port that is taken, and a token. Who connects before somebody answers there waits.
-
-    Parameters
-    ----------
-    port
-        Of 127.0.0.1; the next free one if it is taken. 0 takes any.
-
-    Raises
-    ------
-    LightFieldError
-        If no port can be taken.
-    """
+    """A port of 127.0.0.1 that is taken, the next free one if need be, and a token. Who connects early waits."""
 
     def __init__(self, port: int) -> None:
         self.socket = _bound(port)

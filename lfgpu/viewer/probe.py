@@ -24,11 +24,9 @@ _AROUND = 1  # pixels around the pixel that are compared as well
 def costs(contents: Contents, name: str, stage: str, x: int, y: int) -> dict[str, Any]:
     """Measure how well views agree with a pixel of the reference at each disparity, and find the views that hide it.
 
-    Returns
-    -------
-    `disparities` and, for each, the mean absolute difference of intensities in 3 x 3 pixels, in 255ths: `mean` over all
-    views, and `best` over the better half of them, which counts where others are hidden. `found` and `uncertainty` are
-    the map's, `hidden` the views in which the map has something else in front.
+    Returns `disparities` and, for each, the mean absolute difference of intensities in 3 x 3 pixels, in 255ths: `mean`
+    over all views, and `best` over the better half of them, which counts where others are hidden. `found` and
+    `uncertainty` are the map's, `hidden` the views in which the map has something else in front.
     """
     lf, entry = contents.lf, contents.all_entries().get(name)
     if lf is None or entry is None:

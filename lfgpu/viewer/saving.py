@@ -17,17 +17,7 @@ from lfgpu.viz.pictures import draw_map
 
 
 def saved(contents: Contents, name: str, stage: str, suffix: str) -> bytes:
-    """Save a result as a file of one of the formats of `lfgpu.save`; returns its bytes.
-
-    Parameters
-    ----------
-    contents
-        What is shown.
-    name, stage
-        The map. With the final stage of a result, .npz holds the whole result.
-    suffix
-        Such as ".npz"; LightFieldError if there is no such format.
-    """
+    """Save a map as the bytes of one of the formats of `lfgpu.save`; .npz of a final stage holds the whole result."""
     entry = contents.all_entries().get(name)
     if entry is None:
         raise LightFieldError(f"there is no result {name!r} to save.")

@@ -60,15 +60,7 @@ class _Stopped(Exception):  # noqa: N818 - nothing went wrong
 
 
 class Solver:
-    """Runs one request at a time in its own thread.
-
-    Parameters
-    ----------
-    on_progress
-        Called with each `Progress`, from that thread.
-    on_result
-        Called with the request and its result, from that thread.
-    """
+    """Runs one request at a time in its own thread, from which progress, requests and results are told."""
 
     def __init__(
         self, on_progress: Callable[[Progress], None], on_result: Callable[[Request, DepthResult], None]

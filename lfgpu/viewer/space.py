@@ -49,15 +49,7 @@ _starting = threading.Lock()  # one server at a time is guarded while it starts
 
 
 class Space:
-    """A scene of viser and the thread that draws it. Only the newest wish is drawn.
-
-    Parameters
-    ----------
-    board
-        What is shown.
-    picked
-        Called with (x, y) of the pixel whose point somebody clicked.
-    """
+    """A scene of viser and the thread that draws the newest wish; `picked` takes the (x, y) of a clicked point."""
 
     def __init__(self, board: Board, picked: Callable[[int, int], None]) -> None:
         import viser
@@ -322,11 +314,7 @@ class Space:
 def framed(
     cloud: Cloud, aspect: float, cameras: NDArray[np.float64] | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return a camera that sees a cloud: its place [3], what it looks at [3], and its vertical field of view in
-    radians.
-
-    `cameras` [n, 3] are to be seen, too.
-    """
+    """Return a camera that sees a cloud and cameras [n, 3]: its place, its target, its vertical field of view."""
     deep = cloud.points[:, 2].astype(np.float64) - float(cloud.eye[2])
     away = min(float(np.median(deep)), _NEAR * float(np.quantile(deep, 0.01)))  # what is near stays before the eye
     if cameras is None:
@@ -349,10 +337,9 @@ def framed(
 def _aimed(
     eye: NDArray[np.float64], target: NDArray[np.float64], points: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], tuple[float, float]]:
-    """Aim an eye so that points are in the middle of its picture: what it looks at, in which direction, how far they
-    reach.
+    """Aim an eye at the middle of points: what it looks at, in which direction, and how far they reach right and down.
 
-    The reach is to the right and down, as tangents of angles; without a few of the outermost points.
+    The reach is in tangents of angles, without a few of the outermost points.
     """
     for _ in range(8):  # the middle of the picture is not that of the cloud
         right, down, forward = Pose(eye, target).axes.T

@@ -30,13 +30,7 @@ _KEPT_BITS = np.uint32(0xFFFFFC00)  # of the numbers of maps: 13 binary digits b
 
 
 def standalone(contents: Contents, sight: str) -> bytes:
-    """Write the page with all views and maps of `contents`, opened at a sight: the part of an address after "#".
-
-    Raises
-    ------
-    LightFieldError
-        If there is nothing to show, or the file would be too large.
-    """
+    """Write the page with all views and maps of `contents`, opened at a sight: the part of an address after "#"."""
     if contents.size is None:
         raise LightFieldError("there is nothing to show yet: open a light field or a map.")
     lf, state = contents.lf, still(contents)

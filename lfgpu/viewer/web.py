@@ -39,15 +39,7 @@ _T = TypeVar("_T")
 
 
 class Server:
-    """The web server of a board, in a thread of its own.
-
-    Parameters
-    ----------
-    board
-        What it shows.
-    place
-        Where it answers.
-    """
+    """The web server of a board, in a thread of its own."""
 
     def __init__(self, board: Board, place: Place) -> None:
         self.board, self.facts, self.token = board, Facts(board), place.token

@@ -40,73 +40,35 @@ class Tick:
 
 @dataclass(frozen=True)
 class Scale:
-    """The scale of a map.
+    """The scale of a map."""
 
-    Parameters
-    ----------
-    stops
-        Its colours, from low to high, at equal distances.
-    ticks
-        The numbers beside it.
-    unit
-        What the numbers are, and what grey means.
-    below, above
-        Whether values lie beyond its ends; arrows show them.
-    """
-
-    stops: tuple[str, ...]
-    ticks: tuple[Tick, ...]
-    unit: str
-    below: bool = False
+    stops: tuple[str, ...]  # its colours, from low to high, at equal distances
+    ticks: tuple[Tick, ...]  # the numbers beside it
+    unit: str  # what the numbers are, and what grey means
+    below: bool = False  # True if values lie beyond that end; an arrow shows it
     above: bool = False
 
 
 @dataclass(frozen=True)
 class Mark:
-    """A line over a picture, with a letter.
+    """A line over a picture, with a letter."""
 
-    Parameters
-    ----------
-    path
-        The line, as the data of an SVG path, in pixels of the picture.
-    letter
-        The letter beside it; may be empty.
-    at
-        (x, y) of the letter, pixels of the picture.
-    """
-
-    path: str
-    letter: str = ""
-    at: tuple[float, float] = (0.0, 0.0)
+    path: str  # the line, as the data of an SVG path, in pixels of the picture
+    letter: str = ""  # beside it; may be empty
+    at: tuple[float, float] = (0.0, 0.0)  # (x, y) of the letter, pixels of the picture
 
 
 @dataclass(frozen=True)
 class Card:
-    """A picture with its title.
+    """A picture with its title."""
 
-    Parameters
-    ----------
-    title, remark
-        What it shows; the remark may be empty.
-    image
-        The picture as a data address; empty if it is drawn.
-    size
-        (width, height) of what it shows, pixels; those of a large picture are fewer.
-    scale
-        The scale of a map.
-    marks
-        Lines over the picture.
-    drawing
-        A drawing (SVG) in place of the picture.
-    """
-
-    title: str
+    title: str  # what it shows
     remark: str = ""
-    image: str = ""
-    size: tuple[int, int] = (0, 0)
+    image: str = ""  # the picture as a data address; empty if it is drawn
+    size: tuple[int, int] = (0, 0)  # (width, height) of what it shows, pixels; those of a large picture are fewer
     scale: Scale | None = None
-    marks: tuple[Mark, ...] = ()
-    drawing: Markup | None = None
+    marks: tuple[Mark, ...] = ()  # lines over the picture
+    drawing: Markup | None = None  # SVG in place of the picture
 
     @property
     def is_small(self) -> bool:

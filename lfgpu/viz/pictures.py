@@ -46,28 +46,10 @@ def write_picture(
     colours: str = "viridis",
     limits: tuple[float, float] | None = None,
 ) -> None:
-    """Write a map as PNG with a colour bar, whole or not at all.
+    """Write a map [y, x] as PNG with a colour bar, whole or not at all; pixels become k x k, unknown ones grey.
 
-    Parameters
-    ----------
-    values
-        [y, x]; NaN and infinite pixels are grey. A pixel becomes k x k pixels, with an integer k.
-    path
-        The file.
-    title
-        The title.
-    label
-        The words beside the colour bar, with the unit.
-    colours
-        The name of a colour map of matplotlib. Default "viridis", which is drawn without matplotlib, as "cividis" is.
-    limits
-        (low, high) of the scale. Default None: the range of the map without a few outliers. An end of the bar is
-        pointed where values lie beyond it.
-
-    Raises
-    ------
-    LightFieldError
-        If the map is not [y, x], or the file cannot be written.
+    `colours` is a colour map of matplotlib; "viridis" and "cividis" are drawn without it. `limits` (low, high) are by
+    default the range of the map without a few outliers. An end of the bar is pointed where values lie beyond it.
     """
     save_picture(draw_map(values, title=title, label=label, colours=colours, limits=limits), path)
 
@@ -130,22 +112,9 @@ def beside_scale(
     extent: tuple[float, float],
     paper: tuple[int, int, int] = (255, 255, 255),
 ) -> Image.Image:
-    """Put the scale of its colours beside a picture, whose pixels stay as they are.
+    """Put the scale of its colours beside a picture, uint8 [y, x, 3], whose pixels stay as they are.
 
-    Parameters
-    ----------
-    picture
-        uint8 [y, x, 3].
-    label
-        The words beside the scale.
-    colours
-        The name of a colour map of matplotlib.
-    limits
-        The ends of the scale.
-    extent
-        The smallest and the largest value: where one lies beyond the scale, its end is pointed.
-    paper
-        The colour behind the scale, RGB from 0 to 255.
+    `limits` are the ends of the scale, `extent` the smallest and largest value: an end that one exceeds is pointed.
     """
     height = len(picture)
     scale = _scale(round(0.9 * min(height, _BESIDE)), _BESIDE, label, limits, extent)

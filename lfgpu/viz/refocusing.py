@@ -181,9 +181,7 @@ def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
 
 
 def spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
-    """Choose at most so many views, evenly over the order in which they are stored; returns indices, the reference
-    among them.
-    """
+    """Choose at most so many views, evenly over the order in which they are stored, the reference among them."""
     among = np.arange(len(lf.views)) if among is None else among
     if most is None or len(among) <= most:
         return among

@@ -29,23 +29,7 @@ def overview(
 ) -> Image.Image:
     """Draw the reference view, the error map, and the estimate and the ground truth on one scale.
 
-    Parameters
-    ----------
-    view
-        [y, x, c], c = 1 or 3, in [0, 1].
-    disparity, truth
-        [y, x], pixels per view step; NaN is grey.
-    title
-        The title of the sheet, such as the scene and its scores.
-    mask
-        bool [y, x]; the error is grey where it is False. Default None: no mask.
-    border
-        Width of the border that was not scored, pixels; the error is grey there. Default 0.
-
-    Raises
-    ------
-    LightFieldError
-        If the maps are not [y, x], or differ in size.
+    NaN is grey, and so is the error in the border and where the mask is False.
     """
     estimated, true, picture = np.asarray(disparity), np.asarray(truth), np.asarray(view, np.float32)
     if true.ndim != 2 or not estimated.shape == true.shape == picture.shape[:2]:
@@ -80,11 +64,6 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
 
     The first two columns show the view and the ground truth. Below each error map are BadPix(0.07) and the mean squared
     error times 100.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no scene, or a map and its ground truth differ in size.
     """
     methods = list(dict.fromkeys(method for scene in scenes for method in scene.maps))
     if not methods:

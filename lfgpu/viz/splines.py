@@ -51,20 +51,8 @@ def shifted(
 ) -> tuple[tuple[slice, slice], Float32Array]:
     """Sample the place `move` beside every `step`-th pixel: as `colours`, but faster, as all pixels have one move.
 
-    Parameters
-    ----------
-    values
-        [y, x, c] of any type: the coefficients of `spline`, or for order 1 the pixels themselves.
-    move
-        Pixels down and to the right.
-    step
-        Pixels 0, step, 2 step ... of each row and column.
-    order
-        1 or 3.
-
-    Returns
-    -------
-    Which of these pixels have their place inside the frame, as slices of rows and columns; float32 [y, x, c] there.
+    `values` [y, x, c] are the coefficients of `spline`, or for order 1 the pixels themselves. Returns which of these
+    pixels have their place inside the frame, as slices of rows and columns, and float32 [y, x, c] there.
     """
     rows, columns = (_taps(m, side, step, order) for m, side in zip(move, values.shape[:2], strict=True))
     padded = np.pad(values, ((_PAD, _PAD), (_PAD, _PAD), (0, 0)), mode="reflect")

@@ -269,17 +269,7 @@ def _pose_of(camera: Camera) -> tuple[float, ...]:
 def write_colmap(
     folder: Path, cameras: Sequence[Camera], points: NDArray[np.float32], colors: NDArray[np.uint8]
 ) -> None:
-    """Write a binary model: a lens and an image for each camera, and points without tracks.
-
-    Parameters
-    ----------
-    folder
-        An existing folder.
-    cameras
-        Their names are those of the images.
-    points, colors
-        [n, 3], in the world of the cameras, and red, green, blue.
-    """
+    """Write a binary model: a lens and an image for each camera, named as it, and points [n, 3] without tracks."""
     lenses, images = [struct.pack("<Q", len(cameras))], [struct.pack("<Q", len(cameras))]
     for n, camera in enumerate(cameras, 1):
         model, values = _lens_of(camera)
@@ -304,14 +294,7 @@ def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
 def check_frames(folder: Path, images: Mapping[int, tuple[int, FramePose, str]], rig: Mapping[int, FramePose]) -> None:
     """Raise LightFieldError if frames put images elsewhere than their own poses do: one of the two files is stale.
 
-    Parameters
-    ----------
-    folder
-        The model.
-    images
-        Number of the camera, pose and name of each image by its number.
-    rig
-        Poses of the cameras of all rigs, rig to camera, by the number of the camera.
+    `images` has the number of the camera, pose and name of each image, `rig` the poses of the cameras, rig to camera.
     """
     centres = {key: _centre(pose) for key, (_, pose, _) in images.items()}
     extent = float(np.ptp(np.array(list(centres.values())), axis=0).max()) if centres else 0.0

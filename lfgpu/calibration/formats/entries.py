@@ -38,19 +38,9 @@ def entries_of(path: Path, what: str = "") -> Iterator[None]:
 
 
 def numbers(value: Any, *shape: int) -> Float64Array:
-    """Convert a number, lists of numbers, or a matrix of OpenCV to an array.
+    """Convert a number, lists of numbers, or a matrix of OpenCV to an array of a shape, in which -1 is any length.
 
-    Parameters
-    ----------
-    value
-        An entry of a file.
-    shape
-        Shape of the array; -1 is any length, nothing any shape.
-
-    Raises
-    ------
-    ValueError
-        If these are no finite numbers of a size that cameras have, or not so many.
+    ValueError if these are no finite numbers of a size that cameras have, or not so many.
     """
     found = _matrix(value) if isinstance(value, Mapping) else value
     try:
@@ -121,13 +111,7 @@ def _listed(value: Any) -> list[Any]:
 
 
 def read_yaml(path: Path) -> Any:
-    """Read a YAML file, plain values only; matrices of OpenCV stay tables.
-
-    Raises
-    ------
-    LightFieldError
-        If PyYAML is missing, or the file cannot be read, is not valid, or unfolds to more than a calibration has.
-    """
+    """Read a YAML file, plain values only, no more than a calibration has; matrices of OpenCV stay tables."""
     try:
         import yaml
     except ImportError:

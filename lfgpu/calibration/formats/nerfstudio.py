@@ -81,21 +81,7 @@ def write_nerfstudio(
     points: str | None = None,
     depth_unit: float = _MILLIMETRE,
 ) -> None:
-    """Write a transforms.json.
-
-    Parameters
-    ----------
-    path
-        The file.
-    cameras
-        The cameras.
-    files
-        For each camera its files, by the name of the entry: "file_path", "depth_file_path", "mask_path".
-    points
-        The file of the point cloud; None if there is none.
-    depth_unit
-        Unit of the depth pictures, metres; default 0.001, as nerfstudio takes them.
-    """
+    """Write a transforms.json; `files` has the "file_path", "depth_file_path" and "mask_path" of each camera."""
     frames = []
     for camera, named in zip(cameras, files, strict=True):
         height, width = camera.size

@@ -63,25 +63,11 @@ def _coarse(block: NDArray[np.float64], step: int) -> NDArray[np.float64]:
 
 
 def demosaic(mosaic: Float32Array, light: Float32Array, grid: Microlenses, pattern: str) -> Float32Array:
-    """Interpolate all three colours at every pixel, from neighbours under the same microlens.
+    """Interpolate all three colours at every pixel, from neighbours under the same microlens: float32 [c, y, x].
 
     A mean over pixels of two microlenses would mix rays through opposite rims of the main lens. Neighbours count by how
-    much light they get, as their noise is the smaller for it. Red and blue follow green, by their differences from it.
-
-    Parameters
-    ----------
-    mosaic
-        [y, x], already divided by `light`.
-    light
-        [y, x], how much light each pixel gets (see `vignetting`).
-    grid
-        The microlenses.
-    pattern
-        One of `PATTERNS`, or `GREY`.
-
-    Returns
-    -------
-    float32 [c, y, x], c = 3, or 1 for `GREY`.
+    much `light` [y, x] they get, by which the mosaic [y, x] is divided, as their noise is the smaller for it. Red and
+    blue follow green, by their differences from it.
     """
     if pattern == GREY:
         return mosaic[None]
@@ -126,9 +112,7 @@ def _sites(places: NDArray[np.int64], wanted: tuple[int, ...]) -> Iterator[tuple
 
 
 def _grid(i: int, j: int, halo: int, shape: tuple[int, ...], shift: tuple[int, int] = (0, 0)) -> tuple[slice, slice]:
-    """Return every second pixel, those of the mosaic's place (i, j), `halo` or more pixels from the rim; moved by
-    `shift`.
-    """
+    """Return every second pixel, those of the mosaic's place (i, j), at least `halo` from the rim; moved by `shift`."""
     rows, columns = (
         slice(halo + (place - halo) % 2 + step, length - halo + step, 2)
         for place, step, length in zip((i, j), shift, shape, strict=True)

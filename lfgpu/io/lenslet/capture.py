@@ -211,9 +211,7 @@ def _instead(contents: Contents) -> str:
 
 
 def _places(path: Path, mosaic: Members) -> list[list[str]]:
-    """Return [2][2], the names of the places of the mosaic, from the tile "r,gr:gb,b" and the name of the pixel at (0,
-    0).
-    """
+    """Return [2][2], names of the places of the mosaic, from the tile "r,gr:gb,b" and the name of the first pixel."""
     tile = [row.split(",") for row in mosaic.text("tile").split(":")]
     first = mosaic.text("upperLeftPixel")
     if sorted(place for row in tile for place in row) != sorted(_PLACES) or [len(row) for row in tile] != [2, 2]:

@@ -48,39 +48,19 @@ def decode(
     views: int | None = None,
     progress: Callable[[str], None] = say,
 ) -> Decoded:
-    """Make views of the raw capture of a lenslet camera.
+    """Make views of the raw capture of a lenslet camera: uint16, square roots of linear values.
 
     The microlens grid is found (in the white image, if there is one), values are divided by what light the pixels get
     under their microlenses, demosaiced among pixels of the same microlens, and resampled to square pixels, one row of
-    them for each row of microlenses. Nothing is sharpened or filtered.
+    them for each row of microlenses. Nothing is sharpened or filtered. 1 is the brightest thousandth of the middle
+    view.
 
-    Parameters
-    ----------
-    path
-        A Lytro container (.lfp, .lfr) with a raw picture, a bare raw file of a Lytro camera (.raw), or a grey picture
-        (PNG, JPEG, TIFF, BMP) of the sensor's mosaic.
-    bayer
-        Colours of the pixels at (0, 0), (0, 1), (1, 0), (1, 1), (row, column): "bggr", "grbg", "gbrg" or "rggb"; "grey"
-        for a sensor without a mosaic. None takes what the container says; for pictures, green is found, and of the
-        two patterns that are left the one that Lytro cameras have is taken.
-    white
-        A capture of an evenly white scene by the same camera, zoom and focus being the same. None estimates the
-        vignetting of the microlenses from the capture itself; that of the main lens then stays.
-    views
-        Views along each side of the grid, 2 to 31, one pixel of the sensor apart. None takes the largest odd number
-        for which those in the corners still lie under the microlens. Views that do not are left out.
-    progress
-        Called with what begins, in a few words. Default: `lfgpu.io.reporting.say`.
-
-    Returns
-    -------
-    The views are uint16: square roots of linear values, so that noise is about the same in dark and bright parts; 1 is
-    the brightest thousandth of the middle view.
-
-    Raises
-    ------
-    LightFieldError
-        If a file is damaged, shows no microlenses, or the white image is of another size.
+    `bayer` names the colours of the pixels (0, 0), (0, 1), (1, 0), (1, 1), or is "grey"; None takes what the container
+    says; for pictures, green is found, and the pattern of Lytro cameras that has it is taken. `white` is a capture of
+    an evenly white scene by the same camera, zoom and focus; None estimates the vignetting of the microlenses, but not
+    of the main lens, from the capture. There are 2 to 31 `views` along each side, a pixel of the sensor apart; None
+    takes the largest odd number for which those in the corners lie under the microlens. `progress` takes a few words
+    for each step.
     """
     path = Path(path)
     if views is not None and not 2 <= views <= _MOST_VIEWS:
@@ -176,9 +156,7 @@ class _Sensor:
         self._grid = view_grid(lenses, mosaic.shape, lenses.pitch / 2 + 2, name=name)
 
     def views(self, offsets: NDArray[np.float64]) -> tuple[Float32Array, NDArray[np.bool_]]:
-        """Sample linear views [n, y, x, c] at offsets (du, dv) from the middle, and where they are of use, bool [n, y,
-        x].
-        """
+        """Sample linear views [n, y, x, c] at offsets (du, dv) from the middle; returns also where they are of use."""
         if self._upright:
             offsets = offsets[:, ::-1]
         if self._mean:  # the same under all microlenses

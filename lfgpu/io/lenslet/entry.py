@@ -114,9 +114,7 @@ def read_lenslet(
     white: str | os.PathLike[str] | None = None,
     views: int | None = None,
 ) -> LightField:
-    """Read the light field of a raw capture, decoded or kept from the last time; parameters and errors as of
-    `decode.decode`.
-    """
+    """Read the light field of a raw capture, decoded as by `decode.decode` or kept from the last time."""
     from lfgpu.io.lenslet.decode import decode  # scipy is not for those who read something else
 
     files = [Path(path), *([] if white is None else [Path(white)])]

@@ -11,27 +11,12 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Microlenses:
-    """The centres of microlenses: lens k of row l is at origin + (k * along + l * down) / (1 + k * p + l * q).
+    """The centres of microlenses: lens k of row l is at origin + (k * along + l * down) / (1 + k * p + l * q)."""
 
-    Parameters
-    ----------
-    origin
-        [2], centre (x, y) of lens (0, 0) in pixels, the pixel at the top left having its centre at (0, 0).
-    along
-        [2], step to the next lens of the row at the origin, pixels; nearest to the direction of x.
-    down
-        [2], step to a lens of the next row there, pixels; in a hexagonal lattice half a pitch further on.
-    square
-        Whether rows and columns of lenses are at right angles; else the lattice is hexagonal.
-    slant
-        [2], (p, q): by how much the lattice becomes denser from lens to lens and from row to row, as one that is not
-        parallel to the sensor does. (0, 0) is a regular lattice.
-    """
-
-    origin: NDArray[np.float64]
-    along: NDArray[np.float64]
-    down: NDArray[np.float64]
-    square: bool = False
+    origin: NDArray[np.float64]  # centre (x, y) of lens (0, 0) in pixels; the middle of the first pixel is (0, 0)
+    along: NDArray[np.float64]  # step to the next lens of the row at the origin; nearest to the direction of x
+    down: NDArray[np.float64]  # step to a lens of the next row; in a hexagonal lattice half a pitch further on
+    square: bool = False  # True if rows and columns of lenses are at right angles; else hexagonal
     slant: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
 
     @property
@@ -102,9 +87,7 @@ class Microlenses:
         return ks[there], rows[there]
 
     def transposed(self) -> Microlenses:
-        """Return the lattice of the transposed picture, x and y exchanged; its rows may no longer be those nearest to
-        x.
-        """
+        """Return the lattice of the transposed picture; its rows may no longer be those nearest to x."""
         return replace(self, origin=self.origin[::-1], along=self.along[::-1], down=self.down[::-1])
 
     def near(self, point: NDArray[np.float64]) -> Microlenses:
@@ -121,11 +104,7 @@ class Microlenses:
         )
 
     def reduced(self) -> Microlenses:
-        """Return the same lattice by its shortest steps: along the row that is nearest to the direction of x or y, and
-        down.
-
-        Also finds out whether it is square.
-        """
+        """Return it by its shortest steps, along the row nearest to x or y, and down; finds out if it is square."""
         basis = np.array([[*self.along, self.slant[0]], [*self.down, self.slant[1]]])
         steps = np.array([(i, j) for i in range(-3, 4) for j in range(-3, 4) if (i, j) != (0, 0)]) @ basis
         steps = steps[np.argsort(np.hypot(*steps[:, :2].T))]

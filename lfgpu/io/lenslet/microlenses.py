@@ -20,27 +20,11 @@ _LEAST_NEIGHBOURHOODS = 4  # along the shorter side, for their phases to tell a 
 
 
 def find_microlenses(picture: NDArray[np.float32], *, name: str, expected: Microlenses | None = None) -> Microlenses:
-    """Find the microlens lattice of a picture.
+    """Find the microlens lattice of a white image or a capture, float32 [y, x], bright where the lenses are.
 
-    Parameters
-    ----------
-    picture
-        float32 [y, x], a white image or a capture, a Bayer mosaic or grey; bright where the lenses are.
-    name
-        What to call the picture in a refusal.
-    expected
-        What the camera says of the lattice; its origin does not count. Where the picture agrees with it, no other one
-        is looked for. None looks for any.
-
-    Returns
-    -------
-    The lattice, with `along` within 45 degrees of x. If the rows of lenses stand upright, `along` is a step of a row as
-    they are found in the transposed picture: see `is_upright`.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no lattice, or not the same one all over the picture.
+    Where the picture agrees with what the camera says of the lattice, `expected` but for its origin, no other one is
+    looked for. `along` is within 45 degrees of x; if the rows stand upright, it is a step of a row of the transposed
+    picture (`is_upright`). LightFieldError if there is no lattice, or not the same one all over the picture.
     """
     middle = np.array([(picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2])
     if expected is not None:

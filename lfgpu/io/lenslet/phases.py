@@ -26,23 +26,9 @@ _GROWING = 1.25
 
 
 def fitted(picture: NDArray[np.float32], frequencies: NDArray[np.float64], pitch: float, *, name: str) -> Microlenses:
-    """Fit the lattice of a picture [y, x] by trimmed least squares.
+    """Fit the lattice of a picture [y, x] by trimmed least squares, from two waves [2, 2] of it and a rough pitch.
 
-    Parameters
-    ----------
-    picture
-        The picture.
-    frequencies
-        [2, 2], (x, y) of two waves of the lattice, cycles per pixel, to a few per cent.
-    pitch
-        Distance of neighbours in pixels, roughly.
-    name
-        What to call the picture in a refusal.
-
-    Raises
-    ------
-    LightFieldError
-        If neighbourhoods do not agree on one lattice.
+    Frequencies (x, y), cycles per pixel, are right to a few per cent. LightFieldError if neighbourhoods do not agree.
     """
     flat = _flattened(picture, 1 / math.hypot(*frequencies[0]))
     side = round(NEIGHBOURHOOD * pitch)
@@ -198,9 +184,7 @@ def _flattened(picture: NDArray[np.float32], period: float) -> NDArray[np.float3
 def _phases(
     flat: NDArray[np.float32], waves: NDArray[np.float64], side: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Measure each wave's phase in turns and amplitude, [2, n], in square neighbourhoods; returns their middles (x, y),
-    too.
-    """
+    """Measure each wave's phase in turns and amplitude, [2, n], in square neighbourhoods; returns middles, too."""
     height, width = flat.shape
     rows, columns = height // side, width // side
     flat = flat[: rows * side, : columns * side]

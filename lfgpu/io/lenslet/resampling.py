@@ -87,22 +87,10 @@ def _inside(grid: ViewGrid, shape: tuple[int, ...], reach: float) -> bool:
 def sample_views(
     image: Float32Array, grid: ViewGrid, positions: NDArray[np.float64], step: float
 ) -> NDArray[np.float32]:
-    """Sample views from a sensor image.
+    """Sample views, float32 [n, y, x, c], from a sensor image [c, y, x] with every colour at every pixel.
 
-    Parameters
-    ----------
-    image
-        float32 [c, y, x], every colour at every pixel of the sensor.
-    grid
-        Where the pixels of the views lie.
-    positions
-        [n, 2], (du, dv) of each view from the middle of the microlenses, in view steps: du along the rows, dv down.
-    step
-        Length of a view step, pixels of the sensor.
-
-    Returns
-    -------
-    float32 [n, y, x, c]. Within a lens linear, along the rows of lenses cubic interpolation.
+    Positions [n, 2] are (du, dv) of each view from the middle of the microlenses, du along the rows, in view steps of
+    `step` pixels. Interpolation is linear within a lens, and cubic along the rows of lenses.
     """
     lenses = grid.lenses
     height, width = grid.shape
@@ -128,11 +116,7 @@ def sample_views(
 def _between(
     points: NDArray[np.float64], shape: tuple[int, ...]
 ) -> tuple[NDArray[np.int64], Float32Array, Float32Array]:
-    """Return the pixel above and to the left of points (x, y) [..., 2], as its place in memory, and how far beyond it
-    they are.
-
-    Points outside the image are as those on its rim.
-    """
+    """Return the pixel above and to the left of points (x, y), its place in memory, and how far beyond they are."""
     x, y = np.clip(points[..., 0], 0, shape[1] - 1), np.clip(points[..., 1], 0, shape[0] - 1)
     left, top = np.minimum(x.astype(np.int64), shape[1] - 2), np.minimum(y.astype(np.int64), shape[0] - 2)
     return top * shape[1] + left, (x - left).astype(np.float32), (y - top).astype(np.float32)

@@ -103,9 +103,7 @@ def _least_power(side: int) -> float:
 
 
 def _excess(power: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Divide the power by the median of all bins at the same distance from zero: the spectrum of scenes falls off with
-    it.
-    """
+    """Divide the power by the median at the same distance from zero: the spectrum of scenes falls off with it."""
     labels = np.rint(ring).astype(int)
     medians = np.asarray(ndimage.median(power, labels, np.arange(labels.max() + 1)))
     return power / np.maximum(medians[labels], np.finfo(np.float32).tiny)

@@ -33,11 +33,7 @@ def bands(height: int) -> Iterator[slice]:
 
 
 def offsets(grid: Microlenses, rows: slice, width: int) -> tuple[NDArray[np.int32], NDArray[np.int32], Float32Array]:
-    """Return (k, row) of the lens of each pixel of some rows, and its offset [2, y, x] from that lens's centre along
-    `axes`.
-
-    Offsets are in pixels.
-    """
+    """Return (k, row) of the lens of each pixel of some rows, and its offset [2, y, x] from the centre along `axes`."""
     x, y = np.arange(width, dtype=np.float32), np.arange(rows.start, rows.stop, dtype=np.float32)
     k, row = grid.nearest(x, y)
     origin, along, down = (step.astype(np.float32) for step in (grid.origin, grid.along, grid.down))
@@ -63,19 +59,12 @@ def from_white_image(white: Float32Array, colours: NDArray[np.int64]) -> Float32
 
 
 def field_gains(views: Float32Array, middle: int) -> Float32Array:
-    """Return gains [n, y, x] that make each view as bright as the middle one, over its field.
+    """Return gains [n, y, x] that make each view, linear and 1 where cut off, as bright as the middle one.
 
     Microlenses far from the middle of the sensor see the main lens from the side, so that one and the same mean
     microlens is not quite right for them. What is missing varies slowly over the field: a polynomial of degree 4 fitted
     to the logarithm of the ratio of block means, by trimmed least squares, as blocks with parallax or gloss differ
     otherwise. All colours have the same gain.
-
-    Parameters
-    ----------
-    views
-        Linear float32 [n, y, x, c], 1 where cut off.
-    middle
-        Index of the view that the others are held against.
     """
     count, height, width, _ = views.shape
     block = min(_BLOCK, height // 6, width // 6)

@@ -21,15 +21,7 @@ _VIEW = re.compile(r"view_[0-9]+_[0-9]+\.png")
 
 
 def write_decoded(decoded: Decoded, out: str | os.PathLike[str]) -> list[str]:
-    """Write views as view_row_col.png (16 bits) and what was found as lenslet.json; all of it or nothing.
-
-    Returns the names of the files.
-
-    Raises
-    ------
-    LightFieldError
-        If the folder holds views of another grid, which would mix with these, or cannot be written.
-    """
+    """Write view_row_col.png (16 bits) and lenslet.json, all or nothing, not beside other views; returns names."""
     lf = decoded.light_field
     names = [f"view_{round(v):02d}_{round(u):02d}.png" for u, v in lf.positions]
     check_no_others(Path(out), names)

@@ -237,9 +237,7 @@ def _frame(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _metadata(container: Container, frame: Members) -> dict[str, Any] | None:
-    """Return the metadata of the camera: in a section of its own, or in the table itself; None where it is not in the
-    file.
-    """
+    """Return the camera's metadata: in a section of its own, or in the table itself; None where there are none."""
     inline, name = frame.values.get("metadata"), frame.values.get("metadataRef")
     if isinstance(inline, dict):
         return inline

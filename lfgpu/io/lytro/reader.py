@@ -29,14 +29,7 @@ _STILL = {"jpeg": "JPEG", "png": "PNG"}
 
 
 def decoded(container: Container, pictures: Pictures) -> Iterator[NDArray[np.uint8]]:
-    """Decode the pictures one after the other, each uint8 [y, x, 3].
-
-    Raises
-    ------
-    LightFieldError
-        If they are damaged, of another size or number than the container says, of a kind that is not known, or if
-        imageio-ffmpeg is missing, which videos need.
-    """
+    """Decode the pictures, each uint8 [y, x, 3]; LightFieldError if they are damaged, or not as the container says."""
     check_claim(container.path, (*pictures.size, 3), np.uint8)
     if pictures.representation in _STILL:
         return (_still(container, name, pictures) for name in pictures.sections)
@@ -194,25 +187,10 @@ DESCRIPTION_FILE = "lightfield.toml"
 
 
 def write_contents(path: Path, out: str | os.PathLike[str]) -> list[tuple[str, str]]:
-    """Write what a container holds into a folder; all of it or nothing.
+    """Write what a container holds into a folder, all or nothing; returns (file, meaning) of each.
 
-    Parameters
-    ----------
-    path
-        The container.
-    out
-        The folder, made if missing. Refocused pictures become focus_00.jpg ... (as they are in the file) or
-        focus_00.png ... (of a video), views view_00.png ... with a lightfield.toml, Lytro's depth table lambda.pfm and
-        confidence.pfm; lytro.json says the rest.
-
-    Returns
-    -------
-    What was written, as (file, meaning).
-
-    Raises
-    ------
-    LightFieldError
-        If the container is damaged, or the folder cannot be written.
+    Refocused pictures become focus_00.jpg ... (as they are in the file) or focus_00.png ... (of a video), views
+    view_00.png ... with a lightfield.toml, Lytro's depth table lambda.pfm and confidence.pfm; lytro.json says the rest.
     """
     contents = read_contents(path)
     written: list[tuple[str, str]] = []

@@ -20,13 +20,7 @@ _RIGHT = 0.07  # pixels per view step: the confidence is the probability of smal
 class SemiGlobal(Aggregation):
     """Semi-global matching (Hirschmüller 2008) through costs that are averaged over like pixels.
 
-    Parameters
-    ----------
-    views
-        The views of the sweep.
-    at_edges
-        Whether surfaces end rather where the image has edges. The edges are those of the views as they are compared,
-        smoothed if they have grain: noise is no edge.
+    With `at_edges`, surfaces end rather where the views as they are compared, smoothed if they have grain, have edges.
     """
 
     def __init__(self, views: SweptViews, *, at_edges: bool) -> None:
@@ -85,13 +79,7 @@ class SemiGlobal(Aggregation):
 
 
 class Learned(Aggregation):
-    """The network of `learned.py`, trained on generated light fields, over costs by angular sector.
-
-    Parameters
-    ----------
-    views
-        The views of the sweep.
-    """
+    """The network of `learned.py`, trained on generated light fields, over costs by angular sector."""
 
     has_own_costs: ClassVar[bool] = True
 

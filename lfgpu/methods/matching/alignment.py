@@ -21,11 +21,6 @@ class Alignment:
     """Steps on the common evidence of the views that see a pixel, and the plane through similar pixels after each.
 
     Of large grids, every other view is compared until the last step.
-
-    Parameters
-    ----------
-    frame
-        The views.
     """
 
     def __init__(self, frame: Frame) -> None:

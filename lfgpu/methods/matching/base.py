@@ -25,25 +25,14 @@ class Cost(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """Views and costs that a sweep hands to its aggregation.
+    """Views and costs that a sweep hands to its aggregation."""
 
-    Parameters
-    ----------
-    views, valid
-        The views [n, y, x, c] of the sweep, and their masks [n, y, x] or None.
-    nearest
-        The nearest surface in each view, [n, y, x], that the map found so far leaves; None in the first sweep.
-    volume
-        The costs [l, y, x] of each pixel, which the aggregation may overwrite; None if `Aggregation.has_own_costs`.
-    expect
-        Changes costs [l, y, x] for what is known beforehand, such as the last map of a stream; None if nothing is.
-    """
-
-    views: Array
-    valid: Array | None
-    nearest: Array | None
-    volume: Array | None
+    views: Array  # views [n, y, x, c] of the sweep
+    valid: Array | None  # masks [n, y, x]
+    nearest: Array | None  # nearest surface in each view, [n, y, x], by the map so far; None in the first sweep
+    volume: Array | None  # costs [l, y, x], which may be overwritten; None if `Aggregation.has_own_costs`
     expect: Callable[[Array], None] | None = None
+    """Changes costs [l, y, x] for what is known beforehand, such as the last map of a stream."""
 
 
 class Aggregation(ABC):

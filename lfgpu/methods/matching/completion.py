@@ -14,19 +14,7 @@ from lfgpu.solvers.cg import ConjugateGradients
 
 
 class Boundaries:
-    """Two passes over the pixels at depth edges: blurred outlines run through two pixels.
-
-    Parameters
-    ----------
-    arena
-        Where buffers come from.
-    config
-        `boundaries.contrast`, and the numbers of the tuning.
-    size
-        (height, width) of the map.
-    step
-        The difference in disparity of a depth edge, pixels per view step.
-    """
+    """Two passes over the pixels at depth edges, differences of a `step`: blurred outlines run through two pixels."""
 
     def __init__(self, arena: Arena, config: MatchingConfig, size: tuple[int, int], *, step: float) -> None:
         tuning, contrast = config.tuning.boundaries, config.boundaries.contrast
@@ -54,22 +42,10 @@ _LEAST, _MOST = 1e-5, 1e3  # range of a pixel's own weight, in units of the weig
 class HoleFilling:
     """argmin_m Σ_p c_p (m_p - d_p)² + Σ_pq v_pq (m_p - m_q)² for a map d with certainties c.
 
-    v are the weights of pixels that look alike and lie on one surface of d, each pair counted once. Where a window has
-    texture, c outweighs them and nothing moves. Where it has none, the minimum is the smoothest surface that continues
-    what is around: between the outlines of a plane, a plane.
-
-    Parameters
-    ----------
-    arena
-        Where buffers come from.
-    size
-        (height, width) of the map.
-    prior
-        The weights of like pixels.
-    config
-        The limits of the solver, and the numbers of the tuning.
-    support
-        The difference in disparity that halves the weight of a neighbour, pixels per view step.
+    v are the weights of pixels that look alike and lie on one surface of d, each pair counted once; a difference of
+    `support` pixels per view step halves them. Where a window has texture, c outweighs them and nothing moves. Where it
+    has none, the minimum is the smoothest surface that continues what is around: between the outlines of a plane, a
+    plane.
     """
 
     def __init__(
@@ -112,13 +88,7 @@ class HoleFilling:
 
 
 class Completion:
-    """Boundary refinement, then hole filling.
-
-    Parameters
-    ----------
-    frame
-        The views.
-    """
+    """Boundary refinement, then hole filling."""
 
     def __init__(self, frame: Frame) -> None:
         arena, config, farthest, tuning = frame.arena, frame.config, frame.layout.farthest, frame.config.tuning

@@ -86,13 +86,7 @@ class NeighbourhoodConfig(Section):
 
 @dataclass(frozen=True)
 class MatchingConfig(Config):
-    """All parameters of matching, by stage.
-
-    Raises
-    ------
-    LightFieldError
-        If a value is out of range.
-    """
+    """All parameters of matching, by stage."""
 
     method = "matching"
     renamed = {  # noqa: RUF012 - a ClassVar of the base
@@ -122,13 +116,7 @@ class MatchingConfig(Config):
     """The weights of the network, a `WeightsFile`; "" for those that lfgpu comes with."""
 
     def with_tuning(self, values: Mapping[str, Any]) -> Self:
-        """Return a copy with some numbers of the tuning changed, for experiments: files do not keep these.
-
-        Parameters
-        ----------
-        values
-            New values by name, `section.number`; names of parameters are taken as well.
-        """
+        """Return a copy with some numbers of the tuning or parameters changed, for experiments: files keep none."""
         own = dict(parameters(self))
         config = self.with_values({name: value for name, value in values.items() if name in own})
         others = {name: value for name, value in values.items() if name not in own}

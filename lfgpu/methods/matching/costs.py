@@ -20,15 +20,7 @@ _SEVERAL = 2  # further sweeps mend the outlines that reduced views blur
 
 
 class ReducedViews:
-    """A sweep over views that are reduced to one pixel for each REDUCTION x REDUCTION, at the same disparities.
-
-    Parameters
-    ----------
-    views
-        The views as they are.
-    cost
-        Their cost.
-    """
+    """A sweep over views that are reduced to one pixel for each REDUCTION x REDUCTION, at the same disparities."""
 
     def __init__(self, views: SweptViews, cost: SweepCost) -> None:
         frame, layout, tuning = views.frame, views.layout, views.frame.config.tuning.sweep

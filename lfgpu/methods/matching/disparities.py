@@ -24,15 +24,6 @@ def compared_disparities(bounds: tuple[float, float], farthest: float, config: S
     outermost disparities are on a bound or less than a step beyond it: maps are clamped, so surfaces beyond a bound end
     up on it. If disparities went from bound to bound, a slightly wider range would move all of them, and with them each
     pixel that is almost as well matched elsewhere.
-
-    Parameters
-    ----------
-    bounds
-        (low, high), pixels per view step.
-    farthest
-        Distance of the farthest view, view steps.
-    config
-        `step` and `max_labels`.
     """
     low, high = bounds
     step = max(config.step / farthest, (high - low) / (config.max_labels - 2))
@@ -41,10 +32,7 @@ def compared_disparities(bounds: tuple[float, float], farthest: float, config: S
 
 
 def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
-    """Choose the disparities that the network compares: two steps more than the bounds on either side, at least.
-
-    Parameters are those of `compared_disparities`.
-    """
+    """Choose the disparities that the network compares: at least two steps more than the bounds on either side."""
     low, high = bounds
     step = max(config.step / farthest, (high - low) / (config.max_labels - 2 * _PADDING - 1))
     count = math.ceil((high - low) / step) + 1 + 2 * _PADDING

@@ -21,15 +21,7 @@ from lfgpu.methods.sections import PriorConfig
 
 
 class KnownPixels:
-    """The mask of the reference view on the device. Without masks all pixels are known, and nothing is done.
-
-    Parameters
-    ----------
-    arena
-        Where buffers come from.
-    layout
-        The layout of the views.
-    """
+    """The mask of the reference view on the device. Without masks all pixels are known, and nothing is done."""
 
     def __init__(self, arena: Arena, layout: ViewLayout) -> None:
         self._arena, self._kernels, self._size = arena, arena.kernels, layout.size
@@ -62,22 +54,10 @@ Loaded = tuple[Array, Array | None]
 
 
 class Frame:
-    """The views of a frame on the device.
+    """The views of a frame on the device, with parameters in units of the noise.
 
-    Parameters
-    ----------
-    arena
-        Where buffers come from.
-    chosen
-        The views that are used, and those that are compared.
-    bounds
-        (low, high) of the disparities, pixels per view step.
-    config
-        All parameters, in units of the noise.
-    deviation
-        Difference between pixels of a view that smoothing averages, intensity; None if views are not smoothed.
-    masked
-        Whether masks may come that the layout does not have.
+    Smoothing averages pixels of a view that differ by `deviation`, intensity; None: no smoothing. `masked` says that
+    masks may come that the layout does not have.
     """
 
     def __init__(
@@ -165,21 +145,7 @@ class Frame:
 
 
 class Selection:
-    """Some views of a frame and their masks, copied on the device.
-
-    Parameters
-    ----------
-    frame
-        The frame.
-    name
-        The name of the copies.
-    chosen
-        Indices of the views, in order; None if all are taken, which copies nothing.
-    layout
-        The layout of the chosen views.
-    stored
-        Type in which their values are stored.
-    """
+    """Some views of a frame and their masks, copied on the device; all of them, if not `chosen`, are not copied."""
 
     def __init__(
         self, frame: Frame, name: str, chosen: list[int] | None, layout: ViewLayout, stored: np.dtype[np.generic]

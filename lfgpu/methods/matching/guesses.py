@@ -27,21 +27,9 @@ GUESS_REACH = _WIDE * (1 + _PASSES)
 class GuessedSurfaces:
     """Replaces guessed surfaces by the farther ones around them.
 
-    Parameters
-    ----------
-    arena
-        Where buffers come from.
-    size
-        (height, width) of the map.
-    share
-        The disparity of a pixel is ambiguous if more than this share of the disparities is as good as the best one.
-    disparities
-        The disparities that are compared.
-    tolerance
-        A map is uneven where it differs by about this or more within 5 x 5 pixels, pixels per view step. Where most
-        pixels around are both ambiguous and uneven, the map was guessed.
-    ones
-        A field [y, x] of ones.
+    A pixel is ambiguous if more than a `share` of the disparities is as good as the best one. A map is uneven where it
+    differs by about the `tolerance` or more, pixels per view step, within 5 x 5 pixels. Where most pixels around are
+    both, the map was guessed.
     """
 
     def __init__(

@@ -24,20 +24,7 @@ def kind_of(resweeps: int) -> str:
 class Judging:
     """The confidence of a map, and its variance.
 
-    Parameters
-    ----------
-    arena
-        Where buffers come from.
-    size
-        (height, width) of the map.
-    kind
-        A key of the weights in `trust.py`: see `kind_of`.
-    bounds
-        The range of disparities, pixels per view step.
-    step
-        The distance of the disparities that are compared, pixels per view step.
-    unit
-        The cost of a difference between views as large as the noise.
+    `kind` is a key of the weights in `trust.py` (`kind_of`), `unit` the cost of a difference as large as the noise.
     """
 
     def __init__(

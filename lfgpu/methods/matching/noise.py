@@ -95,20 +95,8 @@ def measured_noise(
     """Measure the root mean square difference between views that agree, intensity.
 
     It is the median of the least costs of a first sweep in the middle of the image, of the half of its pixels where
-    they vary most: pixels without texture agree at all disparities.
-
-    Parameters
-    ----------
-    lf
-        The light field.
-    bounds
-        (low, high) of the disparities, pixels per view step.
-    config
-        The disparities, and the numbers of the first sweep.
-    device
-        The device on which views are compared.
-    deviation
-        Difference between pixels of a view that smoothing averages first, intensity. Default None: no smoothing.
+    they vary most: pixels without texture agree at all disparities. Smoothing, if any, averages differences of
+    `deviation`.
     """
     kernels = device.kernels
     lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
@@ -171,9 +159,7 @@ def in_units_of(
 
 
 def exposed(config: MatchingConfig, exposure: float) -> MatchingConfig:
-    """Scale all intensities among the numbers for views that use only that part of the range; penalties are costs,
-    which grow with the intensities.
-    """
+    """Scale all intensities among the numbers, and penalties, for views that use only that part of the range."""
     if exposure == 1.0:
         return config
     tuning = config.tuning

@@ -24,27 +24,13 @@ from lfgpu.methods.matching.judging import Judging
 
 @dataclass(frozen=True)
 class Sweep:
-    """A row of a table of sweeps.
+    """A row of a table of sweeps."""
 
-    Parameters
-    ----------
-    views
-        A row of `views.VIEWS`: the views that are compared.
-    cost
-        A row of `costs.COSTS`.
-    past
-        What sees past occluders: "view sets", or "surface", the views that see a pixel past the map found so far.
-    widening
-        Pixels by which surfaces are widened before they hide anything.
-    aggregation
-        A row of `aggregation.AGGREGATIONS`.
-    """
-
-    views: str
-    cost: str
-    past: str
-    widening: int
-    aggregation: str
+    views: str  # a row of `views.VIEWS`: the views that are compared
+    cost: str  # a row of `costs.COSTS`
+    past: str  # what sees past occluders: "view sets", or "surface", the views that see a pixel past the map
+    widening: int  # pixels by which surfaces are widened before they hide anything
+    aggregation: str  # a row of `aggregation.AGGREGATIONS`
 
 
 ACCURATE = (
@@ -84,15 +70,7 @@ def sweeps_of(config: MatchingConfig) -> tuple[Sweep, ...]:
 
 
 class PlannedSweep:
-    """A row of the table for light fields of one kind, allocated.
-
-    Parameters
-    ----------
-    row
-        The row.
-    frame
-        The views.
-    """
+    """A row of the table for light fields of one kind, allocated."""
 
     def __init__(self, row: Sweep, frame: Frame) -> None:
         self.row, self._views = row, frame.swept(row.views)
@@ -122,15 +100,7 @@ class PlannedSweep:
 
 
 class Sweeps:
-    """All sweeps of a table for light fields of one kind.
-
-    Parameters
-    ----------
-    frame
-        The views.
-    kind
-        A key of the weights in `trust.py`.
-    """
+    """All sweeps of a table for light fields of one kind; `kind` is a key of the weights in `trust.py`."""
 
     def __init__(self, frame: Frame, *, kind: str) -> None:
         arena, size, disparities = frame.arena, frame.size, frame.disparities

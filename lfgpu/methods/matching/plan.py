@@ -29,19 +29,7 @@ from lfgpu.solvers.solution import Solution
 
 
 class MatchingPlan:
-    """Matching for light fields of one kind, with all memory allocated.
-
-    Parameters
-    ----------
-    layout
-        The layout of the views.
-    measured
-        The disparity range and the noise.
-    config
-        All parameters.
-    device
-        The device on which it runs.
-    """
+    """Matching for light fields of one kind, with all memory allocated."""
 
     decided = "align"
     may_be_masked = False

@@ -43,16 +43,7 @@ class TemporalMatching(MatchingPlan):
     """Matching that may start from the frame before, with all memory allocated.
 
     A cold frame knows nothing of the past, a warm one begins with the last map. Each makes its map the past of the next
-    frame.
-
-    Parameters
-    ----------
-    layout, measured, config, device
-        As for `MatchingPlan`; `alignment.iterations` is the most steps that a frame may take.
-    streaming
-        The kernels that only streams need.
-    prior
-        The weight of the last map.
+    frame. `alignment.iterations` is the most steps that a frame may take.
     """
 
     may_be_masked = True

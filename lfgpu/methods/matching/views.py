@@ -71,23 +71,11 @@ VIEWS: Mapping[str, ViewRule] = {
 
 @dataclass(frozen=True)
 class ChosenViews:
-    """The views that the passes of a plan compare, as layouts.
+    """The views that the passes of a plan compare, as layouts."""
 
-    Parameters
-    ----------
-    given
-        Indices of the used views among all; None if all are used.
-    used
-        The layout of the used views.
-    chosen
-        Indices of the compared views among the used ones; None if all are compared.
-    compared
-        The layout of the compared views.
-    """
-
-    given: list[int] | None
+    given: list[int] | None  # indices of the used views among all; None if all are used
     used: ViewLayout
-    chosen: list[int] | None
+    chosen: list[int] | None  # indices of the compared views among the used ones; None if all are compared
     compared: ViewLayout
 
 

@@ -25,18 +25,7 @@ _STIFFNESS = 0.1  # 1 / pixel²: curvature over robust² at which the confidence
 class Acceptance:
     """Step of each pixel from one map towards another, as far as the views agree better.
 
-    Parameters
-    ----------
-    layout
-        The layout of the views.
-    prior
-        The weights of like pixels, over which the agreement of the views is averaged.
-    longest
-        Most by which a pixel is moved, pixels in the farthest view.
-    noise
-        In units of the usual noise, >= 1.
-    device
-        The device on which it runs.
+    A pixel is moved by at most `longest` pixels in the farthest view; `noise` is in units of the usual one, >= 1.
     """
 
     def __init__(self, layout: ViewLayout, prior: NonLocalMeans, longest: float, noise: float, device: Device) -> None:

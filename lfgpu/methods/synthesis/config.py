@@ -94,13 +94,7 @@ class RefinementConfig(Section):
 
 @dataclass(frozen=True)
 class SynthesisConfig(Config):
-    """All parameters of synthesis, by stage.
-
-    Raises
-    ------
-    LightFieldError
-        If a value is out of range.
-    """
+    """All parameters of synthesis, by stage."""
 
     method = "synthesis"
 

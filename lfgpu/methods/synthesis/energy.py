@@ -9,21 +9,10 @@ _EVENNESS = 0.75  # share of the mean in the curvature that the solver gets
 
 
 class Energy:
-    """E(d) = a ‖L̃_d - L‖² + λ R(d), with a of the model (paper §6: a = 1).
+    """E(d) = a ‖L̃_d - L‖² + λ R(d), with a of the model (paper §6: a = 1) and λ the `smoothness`.
 
-    R is the energy of the propagation, whose minimum the propagated map is (paper, all of eq. 1); or its first part
-    alone, Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)², of v = d - s with a map s, or of v = d.
-
-    Parameters
-    ----------
-    model, prior
-        The data term and the prior, on the same device.
-    smoothness
-        λ, >= 0.
-    start
-        The map s, a field [y, x], whose change the prior holds together. None: the prior holds the map itself together.
-    local
-        The propagation whose energy is R. None: R is the first part alone.
+    R is the energy of the propagation `local`, whose minimum the propagated map is (paper, all of eq. 1); or, without
+    it, its first part alone, Σ_p Σ_{q∈N(p)} w_pq (v_p - v_q)², of v = d - s with a map s, `start`, or of v = d.
     """
 
     def __init__(

@@ -22,18 +22,7 @@ class ForwardModel:
     With `detail_scale` above 0, views are compared after local contrast normalisation: the local mean is subtracted,
     and the rest is divided by the local contrast. Raw intensities would bend slanted surfaces, because there the
     coverage of the additive model is not 1 and changes its brightness. After normalisation weak texture counts as much
-    as strong texture, and differences in exposure between cameras cancel.
-
-    Parameters
-    ----------
-    layout
-        The layout of the views. The reference view is splatted. It
-        predicts itself without error, whatever the disparity.
-    config
-        `softness` of the triangle kernel; `detail_scale` and `contrast_floor` of the normalisation;
-        `error` and `rim`.
-    device
-        The device on which it runs.
+    as strong texture, and differences in exposure between cameras cancel. The reference predicts itself without error.
     """
 
     def __init__(self, layout: ViewLayout, config: RefinementConfig, device: Device) -> None:
@@ -58,16 +47,10 @@ class ForwardModel:
         self._data_term = kernels.data_term(shape, self._offsets, scale=1.0, softness=config.softness)
 
     def load(self, views: Array, start: Array | None = None) -> None:
-        """Take recorded views.
+        """Take recorded views [n, y, x, c], as stored, and perhaps a first disparity map [y, x].
 
-        Parameters
-        ----------
-        views
-            The views [n, y, x, c], as stored.
-        start
-            A first disparity map [y, x], pixels per view step. Pixels of the views that come from outside the reference
-            view, or from its masked pixels, according to this map, are not compared: nothing predicts them. None, or
-            `rim` "compared", compares all valid pixels.
+        Pixels of the views that come from outside the reference view, or from its masked pixels, according to this map,
+        are not compared: nothing predicts them. Without a map, or with `rim` "compared", all valid pixels are.
         """
         kernels = self._kernels
         kernels.intensities(views, self._reference, self._valid, scale=self._scale, fill=0.0, image_out=self._raw)
@@ -80,17 +63,9 @@ class ForwardModel:
         )
 
     def predict(self, disparity: Float32Array) -> tuple[Float32Array, Float32Array]:
-        """Predict all views, the reference view included, with the additive model.
+        """Predict all views [n, y, x, c] from a map [y, x] with the additive model, and their coverage [n, y, x].
 
-        Parameters
-        ----------
-        disparity
-            float32 [y, x], pixels per view step.
-
-        Returns
-        -------
-        The predicted views, float32 [n, y, x, c], and their coverage, float32 [n, y, x]. Coverage is the sum of the
-        splat weights on a pixel: above 1 where several surfaces land on it, below 1 where there is a gap.
+        Coverage is the sum of the splat weights on a pixel: above 1 where several surfaces land on it, below 1 in gaps.
         """
         k = self._kernels
         views, coverage = self._device.zeros_image(self._shape), self._device.zeros(self._shape[:3])

@@ -104,24 +104,7 @@ def planned_prior(shape: tuple[int, int, int], config: SynthesisPriorConfig, dev
 
 
 class SynthesisPlan:
-    """The method of the presets "paper" and "paper-exact", allocated for light fields of one kind.
-
-    Parameters
-    ----------
-    layout
-        The layout of the views.
-    measured
-        The disparity range, and the noise or the spread that the parameters are in units of.
-    config
-        The parameters of all stages.
-    device
-        The device on which it runs.
-
-    Raises
-    ------
-    LightFieldError
-        If neither the row nor the column of the reference view has a second view.
-    """
+    """The method of the presets "paper" and "paper-exact", allocated for light fields of one kind."""
 
     decided = "propagate"
 

@@ -18,17 +18,6 @@ class Propagation:
 
     The normal equations are (2 L + diag(W C)) m = W (C m0). L is the Laplacian of the weights, and W sums over a
     neighbourhood with them. The minimum lies within the range of the defined m0.
-
-    Parameters
-    ----------
-    shape
-        (height, width) of the map.
-    bounds
-        (low, high) of the disparities, pixels per view step.
-    prior
-        The weights.
-    config
-        The solver, its tolerance and its largest number of iterations.
     """
 
     def __init__(

@@ -77,38 +77,15 @@ SOURCES: tuple[Source, ...] = (
 
 @dataclass(frozen=True)
 class Opened:
-    """Source that was opened.
+    """Source that was opened."""
 
-    Parameters
-    ----------
-    first
-        The first frame.
-    frames
-        All frames, the first one included.
-    is_live
-        True if frames come by themselves.
-    """
-
-    first: LightField
-    frames: Frames
-    is_live: bool
+    first: LightField  # the first frame
+    frames: Frames  # all frames, the first one included
+    is_live: bool  # True if frames come by themselves
 
 
 def open_source(text: str, options: Options | None = None) -> Opened:
-    """Open a source of frames and wait for the first one.
-
-    Parameters
-    ----------
-    text
-        One of the forms in `SOURCES`.
-    options
-        Further options; None for the defaults.
-
-    Raises
-    ------
-    LightFieldError
-        If there is no such source, it is empty, or its first frame is wrong.
-    """
+    """Open a source of one of the forms in `SOURCES`, and wait for the first frame."""
     source = next((source for source in SOURCES if source.recognise(text)), None)
     if source is None:
         what = "is a file, but no video" if Path(text).exists() else "does not exist"

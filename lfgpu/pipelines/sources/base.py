@@ -18,57 +18,27 @@ Frames: TypeAlias = Iterator[Any]
 
 @dataclass(frozen=True)
 class Options:
-    """Options of a source.
+    """Options of a source."""
 
-    Parameters
-    ----------
-    grid
-        (rows, columns) of the cameras, and of the views of a synthetic scene. Default None: a row; 7 x 7 for a scene.
-    like
-        A light field of the same cameras: it gives positions, reference view and geometry, in place of `grid`. Default
-        None.
-    scene
-        Further options of `scenes.make`: `size`, `disparity_range`, `noise` and `seed`.
-    rectifier
-        Rectifier of raw pictures: then frames are raw pictures of its cameras, and a source need not begin with a
-        LightField. Default None: frames are light fields.
-    stop
-        Asked while a source waits for a frame; when it returns True, the frames end. Default: never.
-    say
-        Called with sentences for the user, such as which frame was left out. Default: nobody listens.
-    """
-
-    grid: tuple[int, int] | None = None
-    like: LightField | None = None
+    grid: tuple[int, int] | None = None  # (rows, columns) of the cameras, and of the views of a synthetic scene
+    like: LightField | None = None  # light field of the same cameras that gives positions, reference view and geometry
     scene: dict[str, Any] = field(default_factory=dict)
-    rectifier: Rectifier | None = None
-    stop: Callable[[], bool] = lambda: False
-    say: Callable[[str], None] = lambda _: None
+    """Options of `scenes.make`: `size`, `disparity_range`, `noise` and `seed`."""
+    rectifier: Rectifier | None = None  # with it frames are raw pictures of its cameras
+    stop: Callable[[], bool] = lambda: False  # asked while a source waits for a frame; True ends the frames
+    say: Callable[[str], None] = lambda _: None  # takes sentences for the user, such as which frame was left out
 
 
 @dataclass(frozen=True)
 class Source:
-    """Entry of the table of sources.
+    """Entry of the table of sources."""
 
-    Parameters
-    ----------
-    form
-        The form in which users write it.
-    description
-        One line for lists and help, without a full stop.
-    recognise
-        Called with a text; True if it names such a source.
-    open
-        The frames of the source that a text names. It raises LightFieldError with a sentence that names what is wrong.
-    is_live
-        True if frames come by themselves, so that those that come too fast are lost.
-    """
-
-    form: str
-    description: str
-    recognise: Callable[[str], bool]
+    form: str  # the form in which users write it
+    description: str  # one line for lists and help, without a full stop
+    recognise: Callable[[str], bool]  # tells whether a text names such a source
     open: Callable[[str, Options], Frames]
-    is_live: bool = False
+    """Yields the frames of the source that a text names; LightFieldError names what is wrong."""
+    is_live: bool = False  # True if frames come by themselves, so that those that come too fast are lost
 
 
 def light_field(name: str, views: NDArray[Any], options: Options) -> LightField:

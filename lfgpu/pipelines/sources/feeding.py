@@ -28,25 +28,10 @@ def feed(
 ) -> None:
     """Push frames into a stream until they end, and wait for the last map, also where the frames end with an error.
 
-    Parameters
-    ----------
-    stream
-        Where they go.
-    frames
-        As from `open_source`. A wrong frame becomes a failed result of the stream.
-    max_fps
-        Most frames per second. The next frame is asked for when its time has come; of a live source it is then the
-        newest one. Default None: as frames come.
-    most
-        Largest number of frames; None (default) takes all.
-    stop
-        Asked before each frame; when it returns True, no more are taken. Default: never.
-    hold
-        Asked before each frame; while it returns True, no frame is taken. Default: never.
-    tag
-        Called as tag(index, views) for the `tag` of each result. Default: the index.
-    on_done
-        Called with each result in order, also failed and dropped ones, in the thread that feeds.
+    A wrong frame becomes a failed result of the stream. With `max_fps`, the next frame is asked for when its time has
+    come; of a live source it is then the newest one. Before each frame, `stop` is asked for the end, and `hold` for a
+    pause. `tag(index, views)` gives the `tag` of each result, by default the index. `on_done` takes each result in
+    order, also failed and dropped ones, in the thread that feeds.
     """
     pending: deque[StreamResult] = deque()
 
