@@ -6,8 +6,6 @@ An import counts wherever it stands: at the top, in a function, or for type chec
 `lfgpu`, or a file that lies directly in it.
 """
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

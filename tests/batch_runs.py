@@ -1,7 +1,5 @@
 """Helpers of tests of batches: recorded light fields, settings, clusters on this machine."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import time

@@ -1,7 +1,5 @@
 """A browser for tests: headless Chromium, where there is one."""
 
-from __future__ import annotations
-
 import io
 import os
 import shutil

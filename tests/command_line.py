@@ -1,7 +1,5 @@
 """Running commands in the process of the tests, and what they answer."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

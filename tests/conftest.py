@@ -1,7 +1,5 @@
 """Fixtures of all tests: backends and devices that are tried, the seed of random inputs, real light fields."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import secrets

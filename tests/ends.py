@@ -1,7 +1,5 @@
 """Generators for processes of their own, with nothing to import: they end in all ways."""
 
-from __future__ import annotations
-
 import os
 import signal
 import time

@@ -3,8 +3,6 @@
 python tests/parameters_page.py      # writes docs/parameters.md
 """
 
-from __future__ import annotations
-
 import dataclasses
 from pathlib import Path
 

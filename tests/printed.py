@@ -3,8 +3,6 @@
 Nothing of the equations comes from the package's own code, which is compared with them. The paper's slope is m = -d.
 """
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Helpers of tests of solvers: both solvers, and their outcome."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Helpers of tests of streams: a scene that moves, streams of it, and waiting without an end."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """The ablation: that each variant is the method without one thing, that errors are those of its maps, what it says."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The refinement of the preset `paper` makes no map worse than what it started from."""
 
-from __future__ import annotations
-
 import pytest
 
 from lfgpu import estimate_depth, evaluate, scenes

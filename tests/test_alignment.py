@@ -1,7 +1,5 @@
 """The alignment of matching: pixels that it moves too far are put back."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lfgpu import scenes

@@ -1,7 +1,5 @@
 """Maps of all views: each near its own truth, all of one scene, also where views are masked or stand in one row."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any

@@ -1,7 +1,5 @@
 """Imports run one way: from front ends down to data and the contract, never up and never in a circle."""
 
-from __future__ import annotations
-
 import arrows
 import pytest
 

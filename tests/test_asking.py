@@ -1,7 +1,5 @@
 """A pipeline and a stream on one GPU at once: what one captures holds nothing of the other's work."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The seam between host and kernels: which backends there are, and what is said when one is not there."""
 
-from __future__ import annotations
-
 import builtins
 import importlib
 import importlib.metadata

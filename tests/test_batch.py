@@ -1,7 +1,5 @@
 """Batches on real processes: nothing is lost, whatever dies on the way."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

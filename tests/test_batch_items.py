@@ -1,7 +1,5 @@
 """Batches: which light fields are found, how they are named, and what comes from names and folders."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

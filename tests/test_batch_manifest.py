@@ -1,7 +1,5 @@
 """Batches: what the manifest remembers, and what is read from damaged ones."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The page of a batch: pictures that can be judged, sorted by what one asks for, and reports of single items."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark: that it runs, that it measures what it says, and that it notices what it is for."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The two passes over depth edges: an outline that is blurred over two pixels is decided for both."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The examples with cameras run: on pictures that OpenCV calibrates, and on stand-ins for drivers that are not here."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import dataclass
 from pathlib import Path

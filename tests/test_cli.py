@@ -1,7 +1,5 @@
 """Commands that succeed write files that can be read back."""
 
-from __future__ import annotations
-
 import re
 import shutil
 from collections.abc import Iterator

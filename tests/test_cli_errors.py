@@ -1,7 +1,5 @@
 """Commands that fail say one sentence and leave nothing behind."""
 
-from __future__ import annotations
-
 import errno
 import shutil
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """The command line as a process: help and lists of parameters, and that they load nothing heavy."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

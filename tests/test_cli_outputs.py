@@ -1,7 +1,5 @@
 """`lfgpu depth --save`, `convert`, `render`, and `eval` of what they wrote."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

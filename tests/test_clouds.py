@@ -1,7 +1,5 @@
 """The 3D view: where points stand, the surface between them, and what the first eye sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from walls import SIZE

@@ -1,7 +1,5 @@
 """The confidence and the uncertainty of matching: what lowers them, where they go, and that fitting finds weights."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parameters: what each says about itself, and what is said when a value is wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

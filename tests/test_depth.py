@@ -1,7 +1,5 @@
 """The method of the paper on small scenes with exact truth, and what its result says about itself."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

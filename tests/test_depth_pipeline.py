@@ -1,7 +1,5 @@
 """One pipeline for many light fields of one kind: each map is that of a pipeline made for those views alone."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The range of disparities that is found: that it holds the scene and little else, whatever the cameras and views."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import replace
 from pathlib import Path

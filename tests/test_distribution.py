@@ -1,7 +1,5 @@
 """Releases work: the archive of sources can be tested, the wheel runs where there is no checkout."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Examples in the docstrings of public functions and classes run, and every function of the reference has some."""
 
-from __future__ import annotations
-
 import doctest
 import inspect
 import re

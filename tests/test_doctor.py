@@ -1,7 +1,5 @@
 """`lfgpu doctor` says what is here, tries it, and names what does not work; the help shows every command by task."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

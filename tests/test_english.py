@@ -1,7 +1,5 @@
 """The English of docstrings: a class or a module begins with a noun, a function with a verb, none with a question."""
 
-from __future__ import annotations
-
 import ast
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The examples run, and what they find is right."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from types import ModuleType

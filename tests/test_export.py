@@ -1,7 +1,5 @@
 """Exported pipelines give the same bits without Python as with it: what a C++ compiler is needed for is thorough."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil

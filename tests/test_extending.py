@@ -3,8 +3,6 @@
 The third method goes through everything that runs methods, none of which names it.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """Figures in the pages are those of the committed result files; what a mark says, and which marks are errors."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

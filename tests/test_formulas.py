@@ -1,7 +1,5 @@
 """Formulas of the host against numbers that were worked out by hand, or simulated forwards by other code."""
 
-from __future__ import annotations
-
 import math
 import threading
 from dataclasses import replace

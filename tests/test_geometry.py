@@ -1,7 +1,5 @@
 """Disparity and depth: the formula by hand, its inverse, its edges, its refusals."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

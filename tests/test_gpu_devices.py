@@ -1,7 +1,5 @@
 """Devices of Vulkan and Metal: which is chosen, how they are named, and what is said where one is missing."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Pictures with stamps become frames: what belongs together, what is lost, late or repeated, and nobody waits."""
 
-from __future__ import annotations
-
 import threading
 
 import numpy as np

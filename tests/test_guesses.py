@@ -1,7 +1,5 @@
 """Guessed surfaces hide no more than the farther ones of them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The folder that the HCI benchmark takes, and its measures of regions."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

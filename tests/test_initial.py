@@ -1,7 +1,5 @@
 """The first estimate: its filters, its accuracy from any reference view, its range, what it refuses."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple

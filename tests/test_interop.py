@@ -1,7 +1,5 @@
 """Arrays of other libraries go in and come out, without the host where it can be avoided, in the order of streams."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager

@@ -1,7 +1,5 @@
 """Light fields and maps as xarray datasets: values, axes, coordinates and units are those of the arrays."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Layouts of views: what a light field is without its pixels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The learned network: its backends against each other and, where PyTorch is, against PyTorch; its files."""
 
-from __future__ import annotations
-
 import json
 import pickle
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The light field: what it keeps, how it is looked at, what is made from it, what it refuses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Frames from folders, scenes and grabbers become maps in a folder; temporal kernels do what they say."""
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Benchmarks of streams: motion is true, flicker is found, and a soak would notice faults."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace

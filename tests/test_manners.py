@@ -1,7 +1,5 @@
 """Public names explain themselves: short texts, names that type checkers know, sentences for wrong types."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import re
 import shutil

@@ -1,7 +1,5 @@
 """The pictures of `lfgpu depth`: colours, scale, undefined pixels, whole squares; they do without matplotlib."""
 
-from __future__ import annotations
-
 import math
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Matching: which views and disparities are compared, and how near the map comes to the truth."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The benchmark of self-calibration: what it disturbs, what it takes, and how it tells what is left."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

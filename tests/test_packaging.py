@@ -1,7 +1,5 @@
 """The package: its files, its requirements, and the cost of importing it."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import pkgutil
 import re

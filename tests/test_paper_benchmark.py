@@ -1,7 +1,5 @@
 """`python -m benchmarks paper`: what is measured of a light field that is there, what is said of one that is not."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

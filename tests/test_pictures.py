@@ -1,7 +1,5 @@
 """Pictures: scales, units, undefined pixels, and sizes that are exact."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

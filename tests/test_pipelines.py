@@ -1,7 +1,5 @@
 """Whole pipelines: every backend on every device ends where the reference ends."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from typing import Any, NamedTuple

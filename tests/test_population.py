@@ -1,7 +1,5 @@
 """The accuracy of a population: that scores are those of the maps, against which range, and what it is held against."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

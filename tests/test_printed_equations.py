@@ -1,7 +1,5 @@
 """The preset `paper-exact` against the printed equations, on every backend; and what `paper` changes in them."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import replace
 from typing import Any

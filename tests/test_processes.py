@@ -1,7 +1,5 @@
 """Streams and pipelines in several threads and processes: same maps, none that hangs, a sentence for the rest."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The propagation: both solvers, and the energy's normal equations written out."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Quilts and colour with depth: for displays that show several views."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A range of disparities that excludes the scene is said so."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

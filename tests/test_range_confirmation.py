@@ -1,7 +1,5 @@
 """A range of disparities that was found is widened where surfaces lie at its ends, and only there."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Reasons to doubt a pixel: each one alone, on a scene and a map where it is known where it applies."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The refinement's energy on scenes with a known map: both solvers end in the same place."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Refocused and all-in-focus images of planes whose disparity is known."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from walls import SIZE, wall

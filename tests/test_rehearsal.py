@@ -1,7 +1,5 @@
 """Compiling and loading kernels is timed by itself: stages take what they take."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Rendered views against the scene itself, refocused and all-in-focus images, and their files."""
 
-from __future__ import annotations
-
 import resource
 import signal
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The benchmark of rendering: which views it leaves out, and what it says about them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

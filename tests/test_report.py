@@ -1,7 +1,5 @@
 """The report, comparisons and notebooks: what stands in them is what was found, and nothing comes from elsewhere."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io

@@ -1,7 +1,5 @@
 """The report in a browser and on paper: nothing is cut, everything is seen, in light and dark, wide and narrow."""
 
-from __future__ import annotations
-
 import io
 import shutil
 import subprocess

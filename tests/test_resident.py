@@ -1,7 +1,5 @@
 """Pipelines that stay in memory: the next estimate of the kind is that of a pipeline of its own, bit for bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

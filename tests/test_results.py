@@ -1,7 +1,5 @@
 """A result as one file: everything comes back, and what is no result is refused in a sentence."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Callable

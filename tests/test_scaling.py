@@ -1,7 +1,5 @@
 """`python -m benchmarks scaling` and `tiles`: what they count, with the CPU in the place of several GPUs."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

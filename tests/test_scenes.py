@@ -1,7 +1,5 @@
 """The test scenes: is what they call true the truth, and are the views what cameras would see of it?"""
 
-from __future__ import annotations
-
 import inspect
 from typing import Any
 

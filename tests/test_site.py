@@ -1,7 +1,5 @@
 """The site's own parts: types in the lists of parameters, the order of search results, the film."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import shutil

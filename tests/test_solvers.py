@@ -1,7 +1,5 @@
 """Conjugate gradients and both solvers within bounds, against problems whose answers are known."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

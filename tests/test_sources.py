@@ -1,7 +1,5 @@
 """Frames from videos, growing folders, shared memory and OpenCV become light fields of the right cameras."""
 
-from __future__ import annotations
-
 import sys
 import types
 from functools import cache, partial

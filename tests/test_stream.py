@@ -1,7 +1,5 @@
 """A stream gives each frame the map that a pipeline gives, keeps its results apart, and says what it did."""
 
-from __future__ import annotations
-
 import gc
 import re
 import weakref

@@ -1,7 +1,5 @@
 """Frames of all kinds, and the sentences about them: wrong ones fail alone, ranges and stamps that do not fit too."""
 
-from __future__ import annotations
-
 import re
 from concurrent.futures import ThreadPoolExecutor
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Streams under load: frames that wait, threads that push, streams that are closed in the middle of work."""
 
-from __future__ import annotations
-
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """The number of threads: who decides it, and that results do not depend on it."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

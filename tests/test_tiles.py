@@ -1,7 +1,5 @@
 """Tiles: the same map as in one piece, within the memory that is given, from views that stay on disk."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Numbers of matching that users do not set: each says its unit and its reason, and names its row of the ablation."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from dataclasses import Field, fields, is_dataclass

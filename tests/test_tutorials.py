@@ -5,8 +5,6 @@ their names within a page. A block with a caption is a file of that name. A cons
 commands that end with exit code 1. Blocks in `sh` and others are not run: they need what a test has not.
 """
 
-from __future__ import annotations
-
 import re
 import shlex
 import sys

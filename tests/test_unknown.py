@@ -1,7 +1,5 @@
 """Unknown is NaN: masked pixels in maps, stages, tiles, streams, files and on the command line; and filling them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """One verdict: every way to a map gives the same notes and the same remarks, in the same order."""
 
-from __future__ import annotations
-
 import queue
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The viewer without a browser: updates, estimates, its address and the command."""
 
-from __future__ import annotations
-
 import re
 import socket
 import subprocess

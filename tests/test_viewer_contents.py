@@ -1,7 +1,5 @@
 """The contents of the viewer: maps, their scales, the facts about them, and saved files."""
 
-from __future__ import annotations
-
 import gc
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The pictures and tiles that pages of the viewer draw."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Black corners: found where a lens left them, and nowhere else."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

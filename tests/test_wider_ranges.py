@@ -1,7 +1,5 @@
 """A range that is wider than the scene: it adds disparities that are compared, and moves none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -3,8 +3,6 @@
 python tests/viewer_picture.py MY/LIGHT_FIELD    # writes docs/viewer.png and docs/viewer.webp
 """
 
-from __future__ import annotations
-
 import io
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """A plane of one disparity, as tests of refocusing and of the viewer take it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lfgpu.data.lightfield import LightField

@@ -1,7 +1,5 @@
 """Light fields one view of which is not as it should be."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Calibrations of four cameras, written as others write them: what tests and fuzzing start from."""
 
-from __future__ import annotations
-
 import json
 import struct
 from collections.abc import Callable

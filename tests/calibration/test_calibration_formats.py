@@ -1,7 +1,5 @@
 """Calibrations written as others write them and read back: the same rays from the same places."""
 
-from __future__ import annotations
-
 import json
 import struct
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Calibrations of devices and data sets, written as these do, and units of lengths."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A glance at cameras without a map; and what `info` and `batch` say of them by themselves."""
 
-from __future__ import annotations
-
 import json
 import os
 from dataclasses import replace

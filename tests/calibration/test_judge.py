@@ -1,7 +1,5 @@
 """The judge: which camera stands out and how, whether signs are right, and silence where all is well."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Cameras made worse on purpose: what is drawn is what is recorded, and both calibrations say so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from typer.testing import CliRunner

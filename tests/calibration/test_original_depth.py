@@ -1,7 +1,5 @@
 """Depth goes back to the original picture of a camera: a plane that was built in is found there."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Raw frames are rectified on the device: as `rectify` does it, before an estimate, and in streams."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Parallel cameras from calibrated ones, and from what views show: back to what an undisturbed rig records."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

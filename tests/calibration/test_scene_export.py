@@ -1,7 +1,5 @@
 """Scenes for COLMAP and nerfstudio: their cameras, depths and points say what the light field says."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from functools import cache

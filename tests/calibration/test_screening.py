@@ -1,7 +1,5 @@
 """The screening lets through what a look at the cameras would find, and stops where nothing is wrong."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The confidence of a map takes into account where its cameras stand; results keep what was said of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

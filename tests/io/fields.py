@@ -1,7 +1,5 @@
 """One small light field written in every format that can be read: what tests and fuzzing start from."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import dataclass, field

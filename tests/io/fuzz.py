@@ -12,8 +12,6 @@ limited. Everything happens in a temporary folder, many folders deep: no link an
 Thousands of small folders are made and removed; with a TMPDIR in memory (/dev/shm) that takes no disk.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

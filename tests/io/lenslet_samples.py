@@ -1,7 +1,5 @@
 """Raw captures made from known light fields, and containers to put them in: what decoding has to find again."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

@@ -1,7 +1,5 @@
 """Containers as Lytro's programs write them: views, focal stacks, depth tables, and what cameras say of themselves."""
 
-from __future__ import annotations
-
 import io
 import json
 from collections.abc import Sequence

@@ -8,8 +8,6 @@ themselves (`LIES`). It is read as by somebody who answers what is asked and fol
 is compared with the scene: which view is whose picture, where its camera stands, which pixels are valid.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import multiprocessing

@@ -4,8 +4,6 @@ Each function takes the bytes of a file and returns others; a file that it canno
 without such knowledge then.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re

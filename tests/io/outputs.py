@@ -1,7 +1,5 @@
 """Files that lfgpu writes and reads back: maps, results, the manifest of a batch."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small light fields in files, and what refusals look like."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that the fuzzer damages: light fields in all formats, raw captures, outputs of lfgpu, calibrations."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial

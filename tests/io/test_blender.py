@@ -1,7 +1,5 @@
 """Renders of Blender's light field add-on: cameras, lenses, depth, and what is refused."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

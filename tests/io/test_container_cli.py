@@ -1,7 +1,5 @@
 """`lfgpu info` and `lfgpu decode` on containers, patterns that are meant, and outputs that people look at."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import lytro_samples

@@ -1,7 +1,5 @@
 """`lightfield.toml` and `.json`: what they say of a light field, and what is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """One scene in every format: the same views, in their places, moving the way they should; and depth from each."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

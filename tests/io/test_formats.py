@@ -1,7 +1,5 @@
 """The table of formats: what is recognised, and what is no light field."""
 
-from __future__ import annotations
-
 import inspect
 import tomllib
 from pathlib import Path

@@ -1,7 +1,5 @@
 """HCI 4D folders, read and written."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Files that were made to do harm: to leave themselves, to take time or memory, to reach the terminal."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

@@ -1,7 +1,5 @@
 """The images of views: what is kept of them, and which are refused."""
 
-from __future__ import annotations
-
 import re
 import struct
 import threading

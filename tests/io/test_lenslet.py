@@ -1,7 +1,5 @@
 """Raw lenslet captures: the grid, the views and the disparity that made a capture come out of it again."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`lfgpu decode`, and `depth` and `info` straight from a raw capture."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

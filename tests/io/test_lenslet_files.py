@@ -1,7 +1,5 @@
 """Raw captures in the files of cameras: containers, packed bits, and everything that can be wrong with them."""
 
-from __future__ import annotations
-
 import copy
 import json
 import struct

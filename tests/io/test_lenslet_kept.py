@@ -1,7 +1,5 @@
 """Decoded captures in the cache of the user: made once, the same when they are read again, never in the way."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

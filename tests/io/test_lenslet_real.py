@@ -1,7 +1,5 @@
 """Two captures of a first-generation Lytro (Tao et al. 2013), with the lens centres and views that others found."""
 
-from __future__ import annotations
-
 import zipfile
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Processed Lytro containers: views, focal stacks and depth tables, and what is said where there is no light field."""
 
-from __future__ import annotations
-
 import copy
 import json
 import os

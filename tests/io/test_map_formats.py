@@ -1,7 +1,5 @@
 """Maps in every format: what is written comes back, others can open it, and it is written whole or not at all."""
 
-from __future__ import annotations
-
 import resource
 import signal
 from dataclasses import replace

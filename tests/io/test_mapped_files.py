@@ -1,7 +1,5 @@
 """Views that are mapped from a file, which others write meanwhile."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Maps and masks from and to files."""
 
-from __future__ import annotations
-
 import struct
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """MATLAB files of version 5 to 7: the numbers that SciPy reads from sound ones, and a sentence about damaged ones."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import zlib

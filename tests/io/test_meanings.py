@@ -1,7 +1,5 @@
 """Light fields told in other words, drawn at random, and each rule that they led to."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

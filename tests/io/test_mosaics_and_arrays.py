@@ -1,7 +1,5 @@
 """All views in one file: mosaics, MATLAB, NumPy and TIFF."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import zipfile

@@ -1,7 +1,5 @@
 """Views in files that are named by row and column, and grids with holes."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What the numbers in names of pictures count: words, dates, times, patterns, and what is asked."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path

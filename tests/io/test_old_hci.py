@@ -1,7 +1,5 @@
 """The old HCI formats: HDF5 and exports; how columns are counted, depth, and what is refused."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

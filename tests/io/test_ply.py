@@ -1,7 +1,5 @@
 """PLY files: what is written is read back, by others too, and what is no file of points is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Inputs that nobody thought of: readers give a light field or one sentence, and what is written is read back."""
 
-from __future__ import annotations
-
 import io
 import json
 import os

@@ -1,7 +1,5 @@
 """What the user says of a light field, and what a user tries next when it cannot be read."""
 
-from __future__ import annotations
-
 import os
 import zipfile
 from pathlib import Path

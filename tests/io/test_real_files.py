@@ -1,7 +1,5 @@
 """Real light fields of several cameras and data sets."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from typing import Any

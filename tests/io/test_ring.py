@@ -1,7 +1,5 @@
 """Ring buffers in shared memory: frames arrive whole, in order, with their times, from Python and from C++."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import struct

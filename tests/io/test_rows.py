@@ -1,7 +1,5 @@
 """Folders of plenopticam, rows of numbered pictures, videos."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Folders of the Stanford archive: positions in the names of pictures, and what contradicts them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

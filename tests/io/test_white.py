@@ -1,7 +1,5 @@
 """Views of 10 or 12 bits in files of 16 give the map of 8 bits, and a note says so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

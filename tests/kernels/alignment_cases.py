@@ -1,7 +1,5 @@
 """The cases of what comes near in each view, of the alignment, of ratios and of outlines, as data, and their inputs."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The checks of what comes near in each view, of the alignment, of ratios by weights and of outlines."""
 
-from __future__ import annotations
-
 import itertools
 from types import SimpleNamespace
 from typing import Any

@@ -5,8 +5,6 @@ at the same place, so that what differs is its arithmetic. `exact=False` leaves 
 may differ.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

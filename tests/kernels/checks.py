@@ -3,8 +3,6 @@
 They know nothing of pytest, so that `test_mutants.py` and `test_checks_can_fail.py` can hold broken backends to them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace

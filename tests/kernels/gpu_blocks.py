@@ -8,8 +8,6 @@ CPU has not, in terms of that: memory that a block shares, barriers, shuffles, v
 What this cannot show: rounding of a GPU's own functions, memory that threads reach in another order, time.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.util
 import re

@@ -1,7 +1,5 @@
 """The cases of the operations of the learned aggregation, as data, and the random inputs that are made of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 

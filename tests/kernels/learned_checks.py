@@ -1,7 +1,5 @@
 """The checks of the operations of the learned aggregation: how to run them."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The cases of the local estimate: the structure tensor of EPIs, and the more coherent of two estimates."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The checks of the local estimate: the structure tensor of EPIs, and the more coherent of two estimates."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

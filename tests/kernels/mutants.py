@@ -1,7 +1,5 @@
 """Mutants of the reference: functions of which one operator, number, name or assignment is another."""
 
-from __future__ import annotations
-
 import ast
 import copy
 import inspect

@@ -1,7 +1,5 @@
 """The cases of the non-local-means weights and their operators."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The checks of the non-local-means weights and their operators."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The cases of the operations with occlusions, as data, and the random inputs that are made of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

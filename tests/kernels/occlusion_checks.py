@@ -1,7 +1,5 @@
 """The checks of the operations with occlusions: how to run them, and how near their outputs must be."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Programs: work of many operations that nobody on the host looks at until it is done; and their checks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """The checks of the operations that find the disparity range: how to run them, and how near outputs must be."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

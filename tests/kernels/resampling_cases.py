@@ -1,7 +1,5 @@
 """Cases of the kernel matrix for rectification: pictures looked up at other places, with other tones."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

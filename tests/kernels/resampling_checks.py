@@ -1,7 +1,5 @@
 """The checks of the operation behind rectification; as `checks.py`, they know nothing of pytest."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The checks of smoothed and reduced views: how to run them, how near they must be, and what holds in any case."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

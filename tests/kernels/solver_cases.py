@@ -1,7 +1,5 @@
 """The cases of the two solvers: conjugate gradients by their residuals, and L-BFGS by what it is told."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The checks of the two solvers, step by step and as a whole."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The cases of the splat, the data term, and of what the reference sees of other views."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The checks of the splat, the data term, and of what the reference sees of other views."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

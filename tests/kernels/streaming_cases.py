@@ -1,7 +1,5 @@
 """The cases of streams: two frames of a texture that moves between them, and what was known before."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The checks of what streams need beyond a single estimate."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The checks of the plane sweep: how to run it, and what holds whatever the truth is."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Alignment, nearest surfaces, ratios and outlines in the reference against the formulas of the contract, as loops."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from itertools import product

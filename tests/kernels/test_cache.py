@@ -1,7 +1,5 @@
 """The cache of compiled kernels: a sentence where it cannot be written, and a new one where a crash left half."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

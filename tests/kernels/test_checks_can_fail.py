@@ -1,7 +1,5 @@
 """The checks of memory, numbers, control and programs notice faults, which mutants of the reference's code are not."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any, cast

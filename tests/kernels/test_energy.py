@@ -1,7 +1,5 @@
 """The whole energy, data term and prior as the refinement puts them together: its value, and its exact gradient."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace

@@ -5,8 +5,6 @@ pixels are packed, masks. Each kind of kernel takes seconds to compile, so these
 `python -m benchmarks gpu-parity --device cuda` runs all of them on a GPU.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """The learned aggregation's operations in the reference backend against independent truths, number by number."""
 
-from __future__ import annotations
-
 import math
 
 import learned_checks

@@ -1,7 +1,5 @@
 """The matrix: backend x device x operation x case. The reference is the truth, backends are found by themselves."""
 
-from __future__ import annotations
-
 import os
 import pkgutil
 import re

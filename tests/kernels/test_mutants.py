@@ -1,7 +1,5 @@
 """The matrix notices what is wrong: a mutant of the reference fails a check, unless it computes the same."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 import sys

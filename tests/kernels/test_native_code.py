@@ -4,8 +4,6 @@ What runs on a CPU is compiled by the test matrix. What runs on a GPU is compile
 Warp brings: it needs no GPU.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

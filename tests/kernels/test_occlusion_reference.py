@@ -1,7 +1,5 @@
 """Occlusions in the reference backend against independent truths: the formulas as loops, and central differences."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

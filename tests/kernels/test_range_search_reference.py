@@ -1,7 +1,5 @@
 """The operations that find the disparity range in the reference against loops."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The reference backend against independent truths: the formulas written out as loops, and central differences."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from types import SimpleNamespace

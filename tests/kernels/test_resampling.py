@@ -1,7 +1,5 @@
 """Rectification's operation in the reference against the formula in a loop."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import checks

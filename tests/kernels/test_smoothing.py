@@ -1,7 +1,5 @@
 """Smoothing and reducing in the reference against the formulas in loops."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The solver of the reference backend against independent truths: minima found otherwise, the dense update."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import solver_cases

@@ -1,7 +1,5 @@
 """The plane sweep of the reference backend against its definition, pixel by pixel with plain numbers."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 

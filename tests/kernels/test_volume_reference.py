@@ -1,7 +1,5 @@
 """Cost volumes in the reference backend against independent truths: pixel by pixel, and path by path."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """Warp on a CPU: work cut into slices for a pool of threads gives the same bits however many threads there are."""
 
-from __future__ import annotations
-
 import threading
 import time
 from collections.abc import Iterator

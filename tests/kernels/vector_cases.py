@@ -1,7 +1,5 @@
 """The cases of the operations on fields and numbers."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 

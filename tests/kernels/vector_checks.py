@@ -1,7 +1,5 @@
 """The checks of the operations on fields and numbers, and of memory."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any

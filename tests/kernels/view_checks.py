@@ -1,7 +1,5 @@
 """The checks of the operations on stored views."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

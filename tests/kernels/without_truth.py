@@ -1,7 +1,5 @@
 """The checks that know no truth, with their inputs: backends pass them, and mutants of the reference fail them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 

@@ -1,7 +1,5 @@
 """Generated scenes: rays against a search along each ray in float64, and views against each other."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

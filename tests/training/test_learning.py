@@ -1,7 +1,5 @@
 """Sector costs against their definition in float64, batches, and a network that learns; without PyTorch all skip."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """One viewer and one tab for all tests of the page: each takes long to come."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

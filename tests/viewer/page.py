@@ -1,7 +1,5 @@
 """A tab of the browser that shows the viewer, as tests use it."""
 
-from __future__ import annotations
-
 import base64
 import io
 from collections.abc import Callable

@@ -3,8 +3,6 @@
 python -m tests.viewer.soak --minutes 30 --reopenings 200
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import os

@@ -1,7 +1,5 @@
 """What the page says of what may be wrong, keys that always work, and a surface in its own colours."""
 
-from __future__ import annotations
-
 import io
 import itertools
 from dataclasses import replace

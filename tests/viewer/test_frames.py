@@ -1,7 +1,5 @@
 """Streams and films on the page: what is shown belongs to one frame."""
 
-from __future__ import annotations
-
 import json
 import threading
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Who the viewer answers, and what it answers to nonsense."""
 
-from __future__ import annotations
-
 import errno
 import http.client
 import json

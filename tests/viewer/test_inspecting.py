@@ -1,7 +1,5 @@
 """Values on pixels that are large enough, colours at the pointer, and a form for parameters that helps."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lfgpu.data.lightfield import LightField

@@ -1,7 +1,5 @@
 """The EPI as an instrument, the cost at a pixel, maps beside and minus each other, and parts that move."""
 
-from __future__ import annotations
-
 from typing import Any
 from urllib.request import urlopen
 

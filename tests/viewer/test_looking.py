@@ -1,7 +1,5 @@
 """Pictures of the page in Chromium: their pixels are those of the data, and what people do changes them."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 from urllib.parse import parse_qs, urlsplit

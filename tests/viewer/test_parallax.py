@@ -1,7 +1,5 @@
 """A camera between the views: what it sees is what a camera there would have seen."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

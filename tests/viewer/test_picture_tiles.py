@@ -1,7 +1,5 @@
 """Tiles that the page asks for: those that are seen, as fine as the screen, and those that come next."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 from urllib.parse import parse_qs, urlsplit

@@ -1,7 +1,5 @@
 """Estimates that the page starts, results and pictures that it saves, maps that it opens."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The page on dark and light systems and on phones, each tab with its own settings, and its help."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The address of the page holds what is shown; changes can be taken back."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from lfgpu.viewer import Viewer

@@ -1,7 +1,5 @@
 """The soak of the viewer, short: `python -m tests.viewer.soak` is the long one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """A page of its own: opened from a file, without a server and a network, it shows the same sight."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
