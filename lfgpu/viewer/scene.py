@@ -35,7 +35,6 @@ class Scene:
     mesh: bool = False
     cameras: bool = False
     background: str = "light"
-    dark: bool = False
     aspect: float = 1.0
     """Width over height of the frame."""
     x: int = 0

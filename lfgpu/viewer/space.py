@@ -63,12 +63,16 @@ class Space:
         self._cloud: Cloud | None = None
         self._cloud_at = 0.0
         self._centres: NDArray[np.float64] | None = None
+        self._is_marked = True  # not while pictures are saved
         self._orbits: dict[int, tuple[float, Pose]] = {}  # of each browser: since when, and from where
         self.token = secrets.token_urlsafe(24)
         with _guarded(self.token), _silent():
             self._server = viser.ViserServer(host=HOST, port=0, verbose=False)
         self._server.request_share_url = _refuse_to_share  # type: ignore[method-assign]  # pages can ask for it
         self._server.scene.set_up_direction("-y")
+        self._server.scene.configure_environment_map(None)
+        self._server.scene.configure_default_lights(False)
+        self._server.scene.add_light_ambient("/light", intensity=math.pi)  # the colour of a surface is what is seen
         self._server.scene.on_click()(self._clicked)
         self._server.on_client_connect(self._place)
         threading.Thread(target=self._draw_forever, name="lfgpu-space", daemon=True).start()
@@ -179,7 +183,7 @@ class Space:
         shown, first = self._shown, self._cloud is None
         entry = contents.all_entries().get(scene.result)
         serial = (None if entry is None else entry.serial, id(contents.lf))
-        apart = {name: getattr(shown, name) for name in ("x", "y", "x0", "y0", "aspect", "orbit")}
+        apart = {name: getattr(shown, name) for name in ("x", "y", "x0", "y0", "aspect", "orbit", "background")}
         moved = replace(scene, **apart) != shown
         late = serial != self._serial and not moved and monotonic() - self._cloud_at < _LIVE_CLOUD
         if late:
@@ -188,8 +192,6 @@ class Space:
             other_frame = (scene.metric, scene.cameras) != (shown.metric, shown.cameras)
             self._draw_cloud(scene, contents)
             self._draw_cameras(scene, contents)
-            if scene.dark != shown.dark or scene.background != shown.background or first:
-                self._draw_background(scene)
             self._serial, self._cloud_at = serial, monotonic()
             if first or other_frame:
                 stale = stale | {"eye"}
@@ -199,11 +201,6 @@ class Space:
             for client in self._server.get_clients().values():
                 self._place(client)
         return False
-
-    def _draw_background(self, scene: Scene) -> None:
-        self._server.gui.configure_theme(dark_mode=scene.dark, show_logo=False, show_share_button=False)
-        behind = np.array(_PAGES.get(scene.background, _PAGES["white"]), np.uint8)
-        self._server.scene.set_background_image(np.broadcast_to(behind, (8, 8, 3)), format="png")
 
     def _draw_cloud(self, scene: Scene, contents: Contents) -> None:
         entry, scenery = contents.all_entries().get(scene.result), self._server.scene
@@ -270,15 +267,18 @@ class Space:
         pixels = np.array([(scene.x, scene.y), (scene.x0, scene.y0)])
         end, start = (cloud.points[int(np.abs(cloud.pixels - one).sum(axis=1).argmin())] for one in pixels)
         self._server.scene.add_icosphere(
-            "/mark", radius=4 * cloud.spacing, color=SLOPE, position=end, cast_shadow=False, receive_shadow=False
+            "/mark", radius=4 * cloud.spacing, color=SLOPE, position=end, visible=self._is_marked
         )
         if scene.x0 < 0:
             self._server.scene.remove_by_name("/span")
         else:
             line = np.stack([start, end])[None]
-            self._server.scene.add_line_segments("/span", line, SLOPE, thickness=3.0, thickness_units="screen")
+            self._server.scene.add_line_segments(
+                "/span", line, SLOPE, thickness=3.0, thickness_units="screen", visible=self._is_marked
+            )
 
     def _mark(self, *, visible: bool) -> None:
+        self._is_marked = visible
         for name in ("/mark", "/span"):
             if (mark := self._server.scene.get_handle_by_name(name)) is not None:
                 mark.visible = visible

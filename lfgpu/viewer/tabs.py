@@ -123,9 +123,10 @@ class Tab(Guarded, WebSocketHandler):
         return Space(self.site.board, self._picked)
 
     def _picked(self, x: int, y: int) -> None:
-        self.site.call_soon(self._send, {"picked": [x, y]})
+        self.site.call_soon(self.tell, {"picked": [x, y]})
 
-    def _send(self, words: dict[str, Any]) -> None:
+    def tell(self, words: dict[str, Any]) -> None:
+        """Send words to the page, if it is still there."""
         if not self._gone:
             self.write_message(words)
 
@@ -171,6 +172,8 @@ class InSpace(Guarded, WebSocketHandler):
             subprotocols=offered,
             max_message_size=LARGEST,
         )
+        if (page := self.site.tabs.get(tab)) is not None:
+            page.tell({"joined": True})
         self._reading = asyncio.ensure_future(self._read_forever())
 
     async def _read_forever(self) -> None:

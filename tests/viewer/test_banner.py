@@ -82,10 +82,17 @@ def test_keys_work_after_menus_sliders_checkboxes_and_3d(page: Page) -> None:
 
 
 def test_the_surface_has_the_colours_of_the_picture(browser: Any, lf: LightField) -> None:
-    """One colour, in which light or a wrong space of colours would show; without a map there is a word."""
+    """One colour, in which light, a wrong space of colours or a fade would show; without a map there is a word."""
     one = replace(lf, views=np.broadcast_to(np.array([60, 110, 200], np.uint8), lf.views.shape).copy(), truth=None)
+    least = """window.least = 1;
+    (function look() {
+        const isSeen = !frameElement || getComputedStyle(frameElement).visibility === "visible";
+        const opacities = [...document.querySelectorAll("canvas")].map((one) => getComputedStyle(one).opacity);
+        if (isSeen) least = Math.min(least, ...opacities);
+        requestAnimationFrame(look);
+    })();"""
     with Viewer(one, port=0) as viewer:
-        page = Page(browser, viewer)
+        page = Page(browser, viewer, script=least)
         page.shown("view", "view")
         page.tab.keyboard.press("d")
         page.says("No map yet: press Estimate.", "#space-note")
@@ -93,16 +100,19 @@ def test_the_surface_has_the_colours_of_the_picture(browser: Any, lf: LightField
         viewer.add(DisparityMap(ramp.copy()))
         until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
 
-        def shares() -> tuple[float, float]:
+        def shares() -> tuple[float, float] | None:
             with Image.open(io.BytesIO(page.tab.locator("#space-frame").screenshot(timeout=90_000))) as image:
                 seen = np.asarray(image.convert("RGB")).astype(int)
             drawn = (np.abs(seen - 255).max(axis=2) > 40) & ~((seen[..., 0] > 180) & (seen[..., 1] < 120))
             right = np.abs(seen - (60, 110, 200)).max(axis=2) <= 3
-            return float(drawn.mean()), float((drawn & right).sum() / max(drawn.sum(), 1))
+            share = float(drawn.mean())
+            return (share, float((drawn & right).sum() / drawn.sum())) if share > 0.1 else None
 
         for mesh in ("", "1"):
             page.choose("space-mesh", mesh)
-            until(lambda: shares()[0] > 0.1 and shares()[1] > 0.8, f"colours {shares()} of {mesh!r}", page.tab)
+            share, right = until(shares, f"something is seen of {mesh!r}", page.tab)
+            assert right > 0.8, f"from the first picture on; {share:.0%} of the frame is drawn"
+        assert [frame.evaluate("least") for frame in page.tab.frames] == [1, 1], "nothing is pale at first"
         page.close()
 
 

@@ -103,13 +103,17 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
         shades = colormaps["cividis"]([0.25, 0.5, 0.75], bytes=True)[:, :3].astype(int)
         assert all((np.abs(column - shade).max(axis=-1) <= 2).sum() > 10 for shade in shades)
     page.says("colour: confidence", "#right-title")
-    pink = (found[..., 0] > 200) & (found[..., 1] < 120) & (found[..., 2] > 90)
-    assert not pink.any()  # there is none in the colours of the confidence
+    assert not _pink(found).any()  # there is none in the colours of the confidence
     page.tab.keyboard.press("Escape")
     with Image.open(io.BytesIO(page.tab.locator("#space-frame").screenshot(timeout=90_000))) as image:
         seen = np.asarray(image.convert("RGB")).astype(int)
     assert len(np.unique(seen.reshape(-1, 3), axis=0)) > 100
-    assert ((seen[..., 0] > 200) & (seen[..., 1] < 120) & (seen[..., 2] > 90)).any()  # the mark
+    assert _pink(seen).any()
+
+
+def _pink(seen: np.ndarray) -> np.ndarray:
+    """Where the mark is seen, as long as nothing else is of its colour."""
+    return (seen[..., 0] > 200) & (seen[..., 1] < 120) & (seen[..., 2] > 90)
 
 
 def test_an_orbit_leads_back_and_views_of_a_quilt_meet_in_what_is_looked_at() -> None:
@@ -133,9 +137,11 @@ def test_an_orbit_leads_back_and_views_of_a_quilt_meet_in_what_is_looked_at() ->
 
 @pytest.mark.thorough
 def test_films_and_quilts_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_path: Path) -> None:
-    page = Page(browser, viewer, width=1000, height=500)
+    ffmpeg = pytest.importorskip("imageio_ffmpeg")
+    page = Page(browser, viewer, width=800, height=420)
     page.shown("map", "disparity")
     page.tab.keyboard.press("d")
+    page.choose("space-paint", "confidence")
     until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
     frame = page.tab.locator("#space-frame")
 
@@ -146,7 +152,7 @@ def test_films_and_quilts_are_saved_and_the_eye_orbits(browser: Any, viewer: Vie
     until(lambda: len(np.unique(seen().reshape(-1, 3), axis=0)) > 100, "points are drawn", page.tab)
     saved = {}
     page.tab.keyboard.press("s")
-    for form in ("gif", "quilt"):
+    for form in ("gif", "mp4", "quilt"):
         with page.tab.expect_download(timeout=300_000) as download:
             page.tab.click(f"#save-space [value={form}]")
         saved[form] = tmp_path / download.value.suggested_filename
@@ -154,11 +160,19 @@ def test_films_and_quilts_are_saved_and_the_eye_orbits(browser: Any, viewer: Vie
     with Image.open(saved["gif"]) as image:
         assert image.n_frames == PICTURES  # type: ignore[attr-defined]
         frames = []
-        for k in (0, PICTURES // 4, PICTURES // 2):
+        for k in range(PICTURES):
             image.seek(k)
             frames.append(np.asarray(image.convert("RGB")).astype(int))
-    aside, back = (np.abs(one - frames[0]).mean() for one in frames[1:])
+    assert not any(_pink(one).any() for one in frames), "without marks"
+    aside, back = (np.abs(frames[k] - frames[0]).mean() for k in (PICTURES // 4, PICTURES // 2))
     assert back < 0.2 * aside, "half way round, the eye is where it began"
+    about, *coded = ffmpeg.read_frames(str(saved["mp4"]))
+    wide, high = about["size"]
+    assert (about["fps"], len(coded)) == (16, PICTURES)
+    assert (high, wide) == tuple(side - side % 2 for side in frames[0].shape[:2])
+    for one, same in zip(frames, coded, strict=True):
+        film = np.frombuffer(same, np.uint8).reshape(high, wide, 3).astype(int)
+        assert np.abs(film - one[:high, :wide]).mean() < 0.2 * aside, "both films see the same"
     with Image.open(saved["quilt"]) as image:
         quilt = np.asarray(image.convert("RGB")).astype(int)
     high, wide = quilt.shape[0] // ROWS, quilt.shape[1] // COLUMNS

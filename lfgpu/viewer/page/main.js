@@ -465,7 +465,7 @@ function showMaps() {
     : shares ? ["Difference", shares.map(([threshold, share]) => ` ${short(share)} % > ${threshold}`).join(",")]
     : [first ? quantity.label : `No ${quantity.label.toLowerCase()}`, of + inUnits(quantity)[1] + (isAlone ? "; no estimate yet" : one.earlier ? "; of another frame" : "")];
   $("right-title").replaceChildren(element("b", { textContent: what }), words);
-  $("right-title").title = hint;
+  $("right-title").title = [what + words, hint].join("\n");
   space.note(one ? "" : `No map yet: press Estimate${phone.matches ? " in Settings" : ""}.`);
   showHistogram();
   const { colours, low, high } = scale();
@@ -528,7 +528,7 @@ function showChoices() {
   $("stage").parentElement.hidden = !one?.stages.length;
   $("compare").hidden = !ui.other;
   select("compare", ui.compare, "aria-checked");
-  $("about").textContent = one?.isTruth
+  $("about").textContent = $("about").title = one?.isTruth
     ? "The ground truth: it is not an estimate." : [one?.about, one?.earlier && "It belongs to another frame."].filter(Boolean).join(" ");
   const scored = state.results.filter(({ scores }) => scores);
   $("scores").hidden = !scored.length;
@@ -912,7 +912,7 @@ function scene() {
   return {
     result: ui.result, stage: ui.stage, metric: ui.metric && state.metric, paint: ui.paint, colours, low, high,
     exposure: ui.exposure, gamma: ui.gamma, least: ui.least, size: ui.size, mesh: ui.mesh, cameras: ui.cameras, background: ui.background === "page" ? page : ui.background,
-    dark: dark.matches, aspect: box.height ? box.width / box.height : 1, x: ui.pixel?.[0] ?? 0, y: ui.pixel?.[1] ?? 0,
+    aspect: box.height ? box.width / box.height : 1, x: ui.pixel?.[0] ?? 0, y: ui.pixel?.[1] ?? 0,
     orbit: ui.orbit, x0: spanned()?.[0][0] ?? -1, y0: spanned()?.[0][1] ?? -1,
   };
 }
@@ -921,6 +921,7 @@ const send = connect((words) => {
   if (words.tab) space.belong(words.tab);
   if (words.state) take(words.state);
   if (words.space) space.ready();
+  if (words.joined) space.joined();
   if (words.picked) ui.set({ pixel: words.picked });
   if (words.message) tell(words.message);
 }, (isThere) => {
@@ -928,5 +929,6 @@ const send = connect((words) => {
   document.body.classList.toggle("gone", !isThere);
 });
 const space = new Space(send, scene, pressed);
+ui.on("background", () => ($("space-frame").style.background = ui.background === "page" ? "" : ui.background));
 ui.on("right result stage metric paint exposure gamma least size mesh cameras background pixel colourMaps ranges orbit from plot", () => space.refresh());
 showParts();

@@ -2,13 +2,16 @@
 
 import { $, element } from "./elements.js";
 
-// Nothing of viser but what it draws: what its panels would offer is offered by the page.
-const BARE = "body :not(canvas):not(:has(canvas)) { display: none !important; }";
+// Nothing of viser but what it draws, on the page: what its panels would offer is offered by the page. A frame of another
+// scheme of colours than its page's would have a background of its own, and viser is pale until its light has come.
+const BARE = `body :not(canvas):not(:has(canvas)) { display: none !important; } * { background: none !important; }
+  :root { color-scheme: light dark !important; } canvas { opacity: 1 !important; }`;
 
 export class Space {
   #send;
   #tab = null;
   #frame = null;
+  #isJoined = false; // whether the frame draws
   #asked = "";
   #timer = 0;
 
@@ -25,7 +28,7 @@ export class Space {
     this.#asked = "";
     this.#frame?.remove();
     this.#frame = null;
-    $("space-note").hidden = false;
+    this.#isJoined = $("space-note").hidden = false;
     this.refresh();
   }
 
@@ -49,8 +52,9 @@ export class Space {
   note(text) {
     this.noted = text;
     $("space-note").textContent = text || "Starting 3D …";
-    $("space-note").hidden = !text && Boolean(this.#frame?.dataset.drawn);
-    $("space-frame").classList.toggle("empty", Boolean(text));
+    const isSeen = !text && this.#isJoined;
+    $("space-note").hidden = isSeen;
+    $("space-frame").classList.toggle("empty", !isSeen);
   }
 
   startOver() {
@@ -60,17 +64,22 @@ export class Space {
   /** The scene is there: show it. */
   ready() {
     this.#frame?.remove();
-    const dark = matchMedia("(prefers-color-scheme: dark)").matches ? "?darkMode" : "";
-    this.#frame = element("iframe", { src: `space/${this.#tab}/${dark}`, title: "Points in space" });
+    this.#isJoined = false;
+    const src = `space/${this.#tab}/?fixedDpr=${devicePixelRatio}`; // else some pictures of a film are finer than others
+    this.#frame = element("iframe", { src, title: "Points in space" });
     this.#frame.onload = () => {
       this.#frame.contentDocument?.head.append(element("style", { textContent: BARE }));
       this.#frame.contentWindow.addEventListener("keydown", (event) => { // before viser, whose keys walk through the scene
         event.stopImmediatePropagation();
         this.pressed(event);
       }, true);
-      this.#frame.dataset.drawn = "true";
-      this.note(this.noted);
     };
     $("space-frame").append(this.#frame);
+  }
+
+  /** The frame draws from now on. */
+  joined() {
+    this.#isJoined = true;
+    this.note(this.noted);
   }
 }
