@@ -4,7 +4,7 @@ import taichi as ti
 
 from lfgpu.contract import REDUCTION
 
-from .memory import DeviceArray, empty, flat
+from .memory import DeviceArray, flat, scratch
 from .nlm import inside, step_of
 from .runtime import TASK, on_cpu, run
 
@@ -161,7 +161,7 @@ def _lowest_kernel(volume: flat(), first: float, step: float, disparity_out: fla
 
 def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, average_out: DeviceArray) -> None:
     _, height, width = volume.shape
-    totals = empty((height, width))
+    totals = scratch(average_out, (height, width))
     run(_total_kernel, weights.values, height, width, window // 2, totals.values)
     kernel = _rows_kernel if on_cpu() else _pixels_kernel
     run(

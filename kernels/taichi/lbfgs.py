@@ -16,7 +16,7 @@ import taichi as ti
 
 from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
 from .runtime import TASK, double, on_cpu, once, run, start
-from .sums import Total, share
+from .sums import add_up, share
 
 _DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not accepted (Armijo)
 _CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
@@ -354,7 +354,7 @@ class _Lbfgs:
         self._stack, self._direction = clear(empty((rows, size))), clear(empty(shape))
         self._root = clear(empty(shape))
         self._parts = doubles(np.zeros((3 * rows, _CPU_PARTS if on_cpu() else _GPU_PARTS)))
-        self._totals, self._add_up = doubles(np.zeros(3 * rows)), Total(3 * rows)
+        self._totals = doubles(np.zeros(3 * rows))
         self._products, self._alpha = doubles(np.zeros((rows, rows))), doubles(np.zeros(self._slots))
         self._coefficients, self._trace = doubles(np.zeros(rows)), doubles(np.zeros(most + 1))
         self._state, self.go_on = doubles(np.zeros(9)), scalar(1.0, device)
@@ -394,7 +394,7 @@ class _Lbfgs:
         """Compute the next direction at x."""
         state, stack = self._state.values, self._stack.values
         run(self._rows.products, state, stack, self._slots, self._parts.values)
-        self._add_up(self._parts, self._totals)
+        add_up(self._parts, self._totals)
         kept = self._products.values, self._alpha.values, self._coefficients.values, self.go_on.values
         run(_recursion_kernel(), self._totals.values, *self._scale, self._slots, int(beginning), state, *kept)
         at = x.values, self._root.values, *self._bounds

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import prod
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import taichi as ti
@@ -63,6 +64,20 @@ def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti
             "or smaller views."
         ) from error
     return DeviceArray(values, tuple(shape), channels, scalar)
+
+
+_scratch: WeakKeyDictionary[DeviceArray, dict[tuple[int, ...], DeviceArray]] = WeakKeyDictionary()
+
+
+def scratch(owner: DeviceArray, shape: tuple[int, ...], *, channels: int | None = None) -> DeviceArray:
+    """Return memory of whatever contents that lives as long as `owner`, the output of the operation that needs it.
+
+    A GPU waits for all its work before it has new memory.
+    """
+    kept, key = _scratch.setdefault(owner, {}), (*shape, channels or 0)
+    if key not in kept:
+        kept[key] = empty(shape, channels=channels)
+    return kept[key]
 
 
 def doubles(values: NDArray[Any]) -> DeviceArray:

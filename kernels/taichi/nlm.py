@@ -8,7 +8,7 @@ import taichi as ti
 
 from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
-from .memory import DeviceArray, empty, flat
+from .memory import DeviceArray, empty, flat, optional
 from .runtime import TASK, on_cpu, once, run, start
 
 
@@ -145,10 +145,27 @@ def _weight_kernel(
 
 @once
 def _operator(flow: Any, keep: float) -> SimpleNamespace:
-    """Return kernels that start from `keep` times the values and add `flow(weight, here, other)` of neighbours."""
+    """Return kernels that start from `keep` and the diagonal, times the values, and add `flow(weight, here, other)` of
+    neighbours."""
+
+    @ti.func
+    def begun(values: ti.template(), diagonal: ti.template(), has_diagonal: ti.template(), p: int):
+        result = keep * values[p]
+        if ti.static(has_diagonal):
+            result += diagonal[p] * values[p]
+        return result
 
     @ti.kernel
-    def row_kernel(weights: flat(), values: flat(), height: int, width: int, radius: int, sums_out: flat()):
+    def row_kernel(
+        weights: flat(),
+        values: flat(),
+        diagonal: flat(),
+        has_diagonal: ti.template(),
+        height: int,
+        width: int,
+        radius: int,
+        sums_out: flat(),
+    ):
         """Compute a row on each thread of a CPU; the window is the outer loop, so that weights are read as they lie."""
         size = height * width
         for task in range(height * TASK):
@@ -156,7 +173,7 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
                 y = task // TASK
                 row = y * width
                 for x in range(width):
-                    sums_out[row + x] = keep * values[row + x]
+                    sums_out[row + x] = begun(values, diagonal, has_diagonal, row + x)
                 for k in range(weights.shape[0] // size):
                     step = step_of(k, radius)
                     dx = step[0]
@@ -176,13 +193,22 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
                             sums_out[here] = sums_out[here] + added
 
     @ti.kernel
-    def pixel_kernel(weights: flat(), values: flat(), height: int, width: int, radius: int, sums_out: flat()):
+    def pixel_kernel(
+        weights: flat(),
+        values: flat(),
+        diagonal: flat(),
+        has_diagonal: ti.template(),
+        height: int,
+        width: int,
+        radius: int,
+        sums_out: flat(),
+    ):
         """Compute a pixel on each thread of a GPU."""
         size = height * width
         for p in range(size):
             x = p % width
             y = p // width
-            total = keep * values[p]
+            total = begun(values, diagonal, has_diagonal, p)
             for k in range(weights.shape[0] // size):
                 step = step_of(k, radius)
                 q = step[1] * width + step[0]
@@ -193,12 +219,6 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
             sums_out[p] = total
 
     return SimpleNamespace(rows=row_kernel, pixels=pixel_kernel)
-
-
-@ti.kernel
-def _add_product_kernel(x: flat(), y: flat(), sum_inout: flat()):
-    for i in range(sum_inout.shape[0]):
-        sum_inout[i] += x[i] * y[i]
 
 
 @ti.func
@@ -258,13 +278,17 @@ def nlm_laplacian(
     laplacian_out: DeviceArray,
     diagonal: DeviceArray | None = None,
 ) -> None:
-    _apply(_operator(_difference, 0.0), weights, values, window, laplacian_out)
-    if diagonal is not None:
-        run(_add_product_kernel, diagonal.values, values.values, laplacian_out.values)
+    _apply(_operator(_difference, 0.0), weights, values, window, laplacian_out, diagonal)
 
 
 def _apply(
-    operator: SimpleNamespace, weights: DeviceArray, values: DeviceArray, window: int, result_out: DeviceArray
+    operator: SimpleNamespace,
+    weights: DeviceArray,
+    values: DeviceArray,
+    window: int,
+    result_out: DeviceArray,
+    diagonal: DeviceArray | None = None,
 ) -> None:
     kernel = operator.rows if on_cpu() else operator.pixels
-    run(kernel, weights.values, values.values, *values.shape, window // 2, result_out.values)
+    inputs = weights.values, values.values, *optional(diagonal)
+    run(kernel, *inputs, *values.shape, window // 2, result_out.values)

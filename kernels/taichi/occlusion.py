@@ -11,7 +11,7 @@ from types import SimpleNamespace
 import taichi as ti
 
 from .landing import land, within
-from .memory import DeviceArray, clear, empty, flat
+from .memory import DeviceArray, clear, flat, scratch
 from .runtime import TASK, on_cpu, once, run
 from .tent import foot
 
@@ -120,7 +120,7 @@ def _z_kernels(cpu: bool) -> SimpleNamespace:
 
 def visible(disparity: DeviceArray, offsets: DeviceArray, *, tolerance: float, visible_out: DeviceArray) -> None:
     kernels, size, seen = _z_kernels(on_cpu()), disparity.shape, (disparity.values, offsets.values)
-    nearest = empty(visible_out.shape)
+    nearest = scratch(visible_out, visible_out.shape)
     run(kernels.nearest, *seen, _ANY_SOFTNESS, *size, nearest.values)
     run(kernels.visible, *seen, nearest.values, _ANY_SOFTNESS, tolerance, *size, visible_out.values)
 
@@ -245,8 +245,8 @@ def splat_z_buffered(
     assert image.channels is not None
     cpu, size = on_cpu(), image.shape
     kernels = _splat_kernels(image.channels, cpu)
-    nearest = empty(coverage_out.shape)
-    sums = clear(empty(coverage_out.shape, channels=image.channels + 2))
+    nearest = scratch(coverage_out, coverage_out.shape)
+    sums = clear(scratch(coverage_out, coverage_out.shape, channels=image.channels + 2))
     seen = disparity.values, offsets.values
     run(_z_kernels(cpu).nearest, *seen, softness, *size, nearest.values)
     run(kernels.sums, image.values, *seen, nearest.values, softness, sharpness, *size, sums.values)

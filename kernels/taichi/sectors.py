@@ -1,7 +1,6 @@
 """Costs by angular sector; `kernels/reference/sectors.py` says what they are."""
 
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,8 +9,8 @@ import taichi as ti
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
 
 from .memory import DeviceArray, flat, numpy, optional, table
-from .runtime import double, on_cpu, once, run
-from .sums import share, summing
+from .runtime import double, once, run
+from .sums import BLOCK, PARTS, parts, share, summing
 
 _NO_COSTS = 1.0  # where no view takes part
 
@@ -145,33 +144,30 @@ sector_costs = _SectorCosts
 
 
 @once
-def _brightness_kernels(channels: int) -> SimpleNamespace:
-    real, cpu = double(), on_cpu()
+def _brightness_kernel(channels: int) -> Any:
+    real, sums = double(), summing()
 
     @ti.kernel
-    def add_kernel(image: flat(channels=channels), parts_out: flat(real)):
-        for part in range(parts_out.shape[0]):
-            i, step, end = share(part, parts_out.shape[0], image.shape[0], cpu)
-            total = ti.cast(0.0, real)
+    def brightness_kernel(image: flat(channels=channels), parts: flat(real), factor_out: flat(real)):
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.turns):
+            i, step, end = share(turn, sums.turns, image.shape[0], sums.cpu)
+            term = ti.cast(0.0, real)
             while i < end:
-                total += ti.cast(image[i].sum(), real)
+                term += ti.cast(image[i].sum(), real)
                 i += step
-            parts_out[part] = total
+            sums.keep(term, turn, parts)
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.threads):
+            total = sums.total(parts, 0, PARTS, turn)
+            if turn == 0:
+                factor_out[0] = ti.math.clamp(0.4 / (total / (image.shape[0] * channels) + 0.08), 0.5, 4.0)
 
-    @ti.kernel
-    def factor_kernel(count: int, factor_out: flat(real)):
-        """From the sum of so many values."""
-        factor_out[0] = ti.math.clamp(0.4 / (factor_out[0] / count + 0.08), 0.5, 4.0)
-
-    return SimpleNamespace(add=add_kernel, factor=factor_kernel)
+    return brightness_kernel
 
 
 def brightness(image: DeviceArray, *, factor_out: DeviceArray) -> None:
-    channels = image.channels or 1
-    kernels, (parts, total) = _brightness_kernels(channels), summing()
-    run(kernels.add, image.values, parts.values)
-    total(parts, factor_out)
-    run(kernels.factor, image.size * channels, factor_out.values)
+    run(_brightness_kernel(image.channels or 1), image.values, parts().values, factor_out.values)
 
 
 @once

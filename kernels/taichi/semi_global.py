@@ -8,13 +8,14 @@ from typing import Any
 
 import taichi as ti
 
-from .memory import DeviceArray, empty, flat
-from .runtime import TASK, on_cpu, once, run
+from .memory import DeviceArray, flat, scratch
+from .runtime import TASK, most_bytes, on_cpu, once, run
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
 _BLOCK = 32  # paths whose costs lie side by side
 _SOME = 8  # disparities of which a thread reads all costs before it goes on
 _LANES, _PATHS = 16, 8  # threads of a GPU that follow a path, and paths of a block of threads
+_SPARE = 2**29  # bytes: volumes of directions that a GPU follows at the same time, at most
 
 
 @ti.func
@@ -152,6 +153,18 @@ def _cpu_kernel(channels: int) -> Any:
     return blocks_kernel
 
 
+@ti.func
+def direction_of(k: int):
+    """(dy, dx) of `_DIRECTIONS[k]`."""
+    ahead = 1 - k // 4 * 2
+    dy = ahead
+    dx = k % 4 - 1
+    if k % 4 == 3:
+        dy = 0
+        dx = ahead
+    return dy, dx
+
+
 @once
 def _gpu_kernel(channels: int, some: int) -> Any:
     """Return the kernel in which a row of threads follows a path, with `some` disparities each."""
@@ -167,24 +180,35 @@ def _gpu_kernel(channels: int, some: int) -> Any:
         small: float,
         large: float,
         contrast: float,
-        dy: int,
-        dx: int,
-        adds: int,
-        paths: int,
-        steps: int,
+        begin: int,
+        end: int,
+        others: flat(),
         sums: flat(),
     ):
-        """Keep the costs of two steps, of which one is read and one is written, so that threads meet once a step."""
+        """Follow paths of the directions from `begin` to `end`, all but the first with a volume of its own.
+
+        Keep the costs of two steps, of which one is read and one is written, so that threads meet once a step.
+        """
+        blocks = (ti.max(height, width) + _PATHS - 1) // _PATHS
+        many = ti.select(end - begin > 1, volume.shape[0], 0)
         ti.loop_config(block_dim=_LANES * _PATHS)
-        for thread in range((paths + _PATHS - 1) // _PATHS * _PATHS * _LANES):
+        for thread in range((end - begin) * blocks * _PATHS * _LANES):
             costs = ti.simt.block.SharedArray((2 * room * _PATHS,), ti.f32)
             leasts = ti.simt.block.SharedArray((2 * _LANES * _PATHS,), ti.f32)
             size = height * width
             count = volume.shape[0] // size
             own = thread % _PATHS
             lane = thread // _PATHS % _LANES
-            path = ti.min(thread // (_PATHS * _LANES) * _PATHS + own, paths - 1)  # the last one several times
-            counts = thread // (_PATHS * _LANES) * _PATHS + own < paths
+            block = thread // (_PATHS * _LANES)
+            direction = begin + block // blocks
+            dy, dx = direction_of(direction)
+            paths = ti.select(dy == 0, height, width)
+            steps = ti.select(dy == 0, width, height)
+            path = ti.min(block % blocks * _PATHS + own, paths - 1)  # the last one several times
+            counts = block % blocks * _PATHS + own < paths
+            is_first = direction == begin
+            adds = is_first and begin > 0
+            beyond = (direction - begin - 1) * volume.shape[0]
             first = lane * some
             for side in range(2):
                 if lane == 0:
@@ -196,7 +220,7 @@ def _gpu_kernel(channels: int, some: int) -> Any:
             for k in ti.static(range(some)):
                 place = ti.min(first + k, count - 1) * size + p
                 cost[k] = volume[place]
-                if adds != 0:
+                if adds:
                     total[k] = sums[place]
             for i in range(steps):
                 # What the next step needs is on its way while this one is worked out.
@@ -206,7 +230,7 @@ def _gpu_kernel(channels: int, some: int) -> Any:
                 for k in ti.static(range(some)):
                     place = ti.min(first + k, count - 1) * size + next_p
                     next_cost[k] = volume[place]
-                    if adds != 0:
+                    if adds:
                         next_total[k] = sums[place]
                 side = i % 2
                 if not begins:
@@ -226,13 +250,22 @@ def _gpu_kernel(channels: int, some: int) -> Any:
                     costs[(side * room + first + 1 + k) * _PATHS + own] = kept
                     least_here = ti.min(least_here, kept)
                     if counts and first + k < count:
-                        sums[(first + k) * size + p] = total[k] + cost[k]
+                        place = (first + k) * size + p
+                        if is_first:
+                            sums[place] = total[k] + cost[k]
+                        else:
+                            others[beyond + place] = cost[k]
                 leasts[(side * _LANES + lane) * _PATHS + own] = least_here
                 ti.simt.block.sync()
                 cost = next_cost
                 total = next_total
                 p = next_p
                 begins = next_begins
+        for i in range(many):
+            total = sums[i]
+            for k in range(end - begin - 1):
+                total += others[k * volume.shape[0] + i]
+            sums[i] = total
 
     return lanes_kernel
 
@@ -248,28 +281,17 @@ def semi_global(
     sum_out: DeviceArray,
 ) -> None:
     count, height, width = volume.shape
-    scratch: tuple[DeviceArray, ...] = ()
-    if on_cpu():
-        most = -(-max(height, width) // _BLOCK)
-        kernel, scratch = _cpu_kernel(image.channels), (empty((most, count, _BLOCK)), empty((most, _BLOCK)))
-    else:
-        kernel = _gpu_kernel(image.channels, -(-count // _LANES))
+    inputs = volume.values, image.values, penalty_scale.values, height, width, small, large, contrast
+    if not on_cpu():
+        spare = min(len(_DIRECTIONS) - 1, min(_SPARE, most_bytes()) // (4 * volume.size))
+        others = scratch(sum_out, (max(1, spare * volume.size),))
+        kernel, at_once = _gpu_kernel(image.channels, -(-count // _LANES)), 1 + spare
+        for begin in range(0, len(_DIRECTIONS), at_once):
+            end = min(begin + at_once, len(_DIRECTIONS))
+            run(kernel, *inputs, begin, end, others.values, sum_out.values)
+        return
+    kernel, blocks = _cpu_kernel(image.channels), -(-max(height, width) // _BLOCK)
+    costs, leasts = scratch(sum_out, (blocks, count, _BLOCK)), scratch(sum_out, (blocks, _BLOCK))
     for k, (dy, dx) in enumerate(_DIRECTIONS):
-        run(
-            kernel,
-            volume.values,
-            image.values,
-            penalty_scale.values,
-            height,
-            width,
-            small,
-            large,
-            contrast,
-            dy,
-            dx,
-            int(k > 0),
-            width if dy else height,
-            height if dy else width,
-            *(array.values for array in scratch),
-            sum_out.values,
-        )
+        paths, steps = (width, height) if dy else (height, width)
+        run(kernel, *inputs, dy, dx, int(k > 0), paths, steps, costs.values, leasts.values, sum_out.values)

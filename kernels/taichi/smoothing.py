@@ -7,9 +7,10 @@ import taichi as ti
 
 from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
 
-from .memory import DeviceArray, empty, flat, optional
-from .runtime import once, run
+from .memory import DeviceArray, flat, optional, scratch
+from .runtime import on_cpu, once, run
 
+_TOGETHER = 16  # views at a time on a GPU, one on a CPU
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
 
 
@@ -38,11 +39,14 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         scale: float,
         height: int,
         width: int,
+        first: int,
+        count: int,
         guide_out: pixels,
     ):
         """Means over 3 x 3 pixels, those that are valid."""
         size = height * width
-        for p in range(views.shape[0]):
+        for i in range(count):
+            p = first + i
             y = p % size // width
             x = p % width
             total = ti.Vector([0.0] * channels)
@@ -55,22 +59,25 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                     if _counts(valid, masked, q):
                         total += ti.cast(views[q], ti.f32)
                         known += 1.0
-            guide_out[p] = total * scale / ti.max(known, 1.0)
+            guide_out[i] = total * scale / ti.max(known, 1.0)
 
     @ti.kernel
     def smooth_kernel(
         views: views_type,
-        guide: pixels,
         valid: flat(),
         masked: ti.template(),
         scale: float,
-        unit: float,
         height: int,
         width: int,
+        first: int,
+        count: int,
+        guide: pixels,
+        unit: float,
         views_out: out_type,
     ):
         size = height * width
-        for p in range(views.shape[0]):
+        for i in range(count):
+            p = first + i
             y = p % size // width
             x = p % width
             total = ti.Vector([0.0] * channels)
@@ -80,7 +87,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                 for dx in range(ti.max(-SMOOTHING_REACH, -x), ti.min(SMOOTHING_REACH, width - 1 - x) + 1):
                     q = p + dy * width + dx
                     if _counts(valid, masked, q):
-                        unlike = 1.0 + likeness * (guide[q] - guide[p]).norm_sqr()
+                        unlike = 1.0 + likeness * (guide[q - first] - guide[i]).norm_sqr()
                         weight = ti.exp(-(dx * dx + dy * dy) / _SPREAD) / (unlike * unlike)
                         total += weight * ti.cast(views[q], ti.f32)
                         weights += weight
@@ -130,13 +137,16 @@ def _reduce_mask_kernel(valid: flat(), height: int, width: int, rows: int, colum
 def smooth_views(
     views: DeviceArray, valid: DeviceArray | None, *, scale: float, deviation: float, views_out: DeviceArray
 ) -> None:
-    kernels, (_, height, width) = _kernels(views.channels, views.scalar), views.shape
-    guide = empty(views.shape, channels=views.channels)
-    run(kernels.guide, views.values, *optional(valid), scale, height, width, guide.values)
+    kernels, (n, height, width) = _kernels(views.channels, views.scalar), views.shape
     assert views.channels is not None
     unit = 1 / (views.channels * deviation**2)
-    inputs = [views.values, guide.values, *optional(valid), scale, unit, height, width]
-    run(kernels.smooth, *inputs, views_out.values)
+    some = min(n, 1 if on_cpu() else _TOGETHER)
+    guide = scratch(views_out, (some, height, width), channels=views.channels)
+    for view in range(0, n, some):
+        these = view * height * width, min(some, n - view) * height * width
+        inputs = views.values, *optional(valid), scale, height, width, *these, guide.values
+        run(kernels.guide, *inputs)
+        run(kernels.smooth, *inputs, unit, views_out.values)
 
 
 def reduce_views(

@@ -14,7 +14,7 @@ import taichi as ti
 from .landing import inside, land, nearest, within
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, double, on_cpu, once, run
-from .sums import GPU_PARTS, Total, share
+from .sums import BLOCK, PARTS, add_up, share, summing
 from .tent import tent, tent_slope
 
 _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
@@ -23,7 +23,7 @@ _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on t
 @once
 def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     """Return the kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
-    real = double()
+    real, sums = double(), summing()
     field, image_type, stored_image = flat(), flat(channels=channels), flat(stored, channels)
     pixel = ti.types.vector(channels, ti.f32)
 
@@ -214,17 +214,17 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         views_out: image_type,
         squares_out: flat(real),
     ):
-        """Turns predicted views into residuals; each thread of a GPU adds up the squares of its own."""
-        parts = squares_out.shape[0]
-        for part in range(parts):
-            total = ti.cast(0.0, real)
-            i, step, end = share(part, parts, recorded.shape[0], cpu)
+        """Turns predicted views into residuals."""
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.turns):
+            i, step, end = share(turn, sums.turns, recorded.shape[0], sums.cpu)
+            term = ti.cast(0.0, real)
             while i < end:
                 value = difference(views_out[i], recorded, valid, masked, i, scale)
                 views_out[i] = value
-                total += ti.cast(value.norm_sqr(), real)
+                term += ti.cast(value.norm_sqr(), real)
                 i += step
-            squares_out[part] = total
+            sums.keep(term, turn, squares_out)
 
     @ti.kernel
     def slice_kernel(
@@ -330,7 +330,7 @@ class _DataTerm:
         self._slices = min(_SLICES, n) if self._cpu else 1
         self._residuals = empty((self._slices if self._cpu else n, height, width), channels=channels)
         self._gradients = empty((self._slices, height, width))
-        self._squares, self._total = empty((n * height if self._cpu else GPU_PARTS,), scalar=double()), Total()
+        self._squares = empty((n * height if self._cpu else PARTS,), scalar=double())
         self._offsets, self._scale, self._softness = offsets, scale, softness
         self._curvature = 2.0 * float((numpy(offsets).astype(np.float64) ** 2).sum())
 
@@ -340,7 +340,7 @@ class _DataTerm:
 
     def __call__(self, disparity: DeviceArray, gradient_out: DeviceArray, value_out: DeviceArray) -> None:
         (self._in_slices if self._cpu else self._at_once)(disparity, gradient_out)
-        self._total(self._squares, value_out)
+        add_up(self._squares, value_out)
 
     def curvature(self, curvature_out: DeviceArray) -> None:
         run(self._kernels.curvature, self._image.values, self._curvature, curvature_out.values)

@@ -1,83 +1,121 @@
-"""Sums of many terms in numbers of type `double`: parts of them first, then the parts, always in the same order."""
+"""Sums of many terms in numbers of type `double`: parts of them first, then the parts, always in the same order.
+
+A thread of a CPU, or a block of threads of a GPU, adds up each part.
+"""
 
 from types import SimpleNamespace
+from typing import Any
 
 import taichi as ti
 
 from .memory import DeviceArray, empty, flat
 from .runtime import double, on_cpu, once, run
 
-GPU_PARTS = 32768
-"""Partial sums of one total, a thread of a GPU each."""
-
-_CPU_PARTS = 4096
-_GROUPS = 128  # of parts, whose sums are the last step but one
+PARTS = 1024  # of a total
+BLOCK = 128  # threads of a GPU that add up a part
 
 
 @ti.func
-def share(part: int, parts: int, count: int, cpu: ti.template()):
-    """(first, step, end) of the indices below `count` that belong to a part: a CPU wants them together, a GPU apart."""
-    first, step, end = part, parts, count
+def share(turn: int, turns: int, count: int, cpu: ti.template()):
+    """(first, step, end) of the indices below `count` that belong to a turn: a CPU wants them together, a GPU apart."""
+    first, step, end = turn, turns, count
     if ti.static(cpu):
-        length = (count + parts - 1) // parts
-        first, step, end = ti.min(part * length, count), 1, ti.min((part + 1) * length, count)
+        length = (count + turns - 1) // turns
+        first, step, end = ti.min(turn * length, count), 1, ti.min((turn + 1) * length, count)
     return first, step, end
 
 
 @once
-def _kernels(cpu: bool) -> SimpleNamespace:
-    real = double()
-    doubles = flat(real)
+def summing() -> SimpleNamespace:
+    """Return functions of kernels: `keep` writes a part of what turns of a loop added up, `total` adds up parts.
 
-    @ti.kernel
-    def total_kernel(parts: doubles, groups_out: doubles, totals_out: doubles):
-        """Sum the parts of each total, as many for each, which lie one after the other."""
-        totals = totals_out.shape[0]
-        for i in range(totals * _GROUPS):
-            first, step, end = share(i % _GROUPS, _GROUPS, parts.shape[0] // totals, cpu)
-            begin = i // _GROUPS * (parts.shape[0] // totals)
-            total = ti.cast(0.0, real)
-            k = first
-            while k < end:
-                total += parts[begin + k]
-                k += step
-            groups_out[i] = total
-        for i in range(totals):
-            total = ti.cast(0.0, real)
-            for group in range(_GROUPS):
-                total += groups_out[i * _GROUPS + group]
-            totals_out[i] = total
+    Loops over terms take `turns` turns, in blocks of `BLOCK`: `threads` of them, one after the other, for each part,
+    and as many for a total.
+    """
+    real, threads, cpu = double(), 1 if on_cpu() else BLOCK, on_cpu()
 
-    @ti.kernel
-    def product_kernel(x: flat(), y: flat(), parts_out: doubles):
-        for part in range(parts_out.shape[0]):
-            i, step, end = share(part, parts_out.shape[0], x.shape[0], cpu)
-            total = ti.cast(0.0, real)
-            while i < end:
-                total += ti.cast(x[i], real) * ti.cast(y[i], real)
-                i += step
-            parts_out[part] = total
+    @ti.func
+    def whole(term, thread: int):
+        """Sum the terms of a block; its first thread gets the sum."""
+        total = term
+        if ti.static(not cpu):
+            terms = ti.simt.block.SharedArray((BLOCK,), real)
+            terms[thread] = term  # `+=` would be atomic
+            for k in ti.static(range(1, BLOCK.bit_length())):
+                ti.simt.block.sync()
+                if thread < BLOCK >> k:
+                    terms[thread] = terms[thread] + terms[thread + (BLOCK >> k)]
+            total = terms[thread]
+        return total
 
-    return SimpleNamespace(total=total_kernel, product=product_kernel)
+    @ti.func
+    def keep(term, turn: int, parts_out: ti.template()):
+        part = whole(term, turn % threads)
+        if turn % threads == 0:
+            parts_out[turn // threads] = part
 
+    @ti.func
+    def total(parts: ti.template(), first: int, count: int, turn: int):
+        """Sum the parts from `first` on; the first turn gets the sum."""
+        term = ti.cast(0.0, real)
+        k = turn % threads
+        while k < count:
+            term += parts[first + k]
+            k += threads
+        return whole(term, turn % threads)
 
-class Total:
-    """Adds up the parts [totals * k] of each of some totals [totals], all of the type `double`."""
-
-    def __init__(self, totals: int = 1) -> None:
-        self._kernel, self._groups = _kernels(on_cpu()).total, empty((totals * _GROUPS,), scalar=double())
-
-    def __call__(self, parts: DeviceArray, totals_out: DeviceArray) -> None:
-        run(self._kernel, parts.values, self._groups.values, totals_out.values)
+    return SimpleNamespace(threads=threads, turns=PARTS * threads, cpu=cpu, keep=keep, total=total)
 
 
 @once
-def summing() -> tuple[DeviceArray, Total]:
-    """Return memory for the partial sums of one total, and what adds them up."""
-    return empty((_CPU_PARTS if on_cpu() else GPU_PARTS,), scalar=double()), Total()
+def parts() -> DeviceArray:
+    """Return memory for the parts of a total, for sums that a single launch makes."""
+    return empty((PARTS,), scalar=double())
+
+
+@once
+def _product_kernel() -> Any:
+    real, sums = double(), summing()
+
+    @ti.kernel
+    def product_kernel(x: flat(), y: flat(), parts: flat(real), product_out: flat(real)):
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.turns):
+            i, step, end = share(turn, sums.turns, x.shape[0], sums.cpu)
+            term = ti.cast(0.0, real)
+            while i < end:
+                term += ti.cast(x[i], real) * ti.cast(y[i], real)
+                i += step
+            sums.keep(term, turn, parts)
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.threads):
+            total = sums.total(parts, 0, PARTS, turn)
+            if turn == 0:
+                product_out[0] = total
+
+    return product_kernel
 
 
 def dot(a: DeviceArray, b: DeviceArray, product_out: DeviceArray) -> None:
-    parts, total = summing()
-    run(_kernels(on_cpu()).product, a.values, b.values, parts.values)
-    total(parts, product_out)
+    run(_product_kernel(), a.values, b.values, parts().values, product_out.values)
+
+
+@once
+def _totals_kernel() -> Any:
+    real, sums = double(), summing()
+
+    @ti.kernel
+    def totals_kernel(parts: flat(real), totals_out: flat(real)):
+        count = parts.shape[0] // totals_out.shape[0]
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(totals_out.shape[0] * sums.threads):
+            total = sums.total(parts, turn // sums.threads * count, count, turn)
+            if turn % sums.threads == 0:
+                totals_out[turn // sums.threads] = total
+
+    return totals_kernel
+
+
+def add_up(parts: DeviceArray, totals_out: DeviceArray) -> None:
+    """Sum the parts [totals * k] of each of some totals [totals], all of the type `double`."""
+    run(_totals_kernel(), parts.values, totals_out.values)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from .memory import DeviceArray, empty, field, flat, optional
+from .memory import DeviceArray, empty, field, flat, optional, table
 from .runtime import on_cpu, once, run, start
 
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
@@ -41,15 +41,14 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
             image_out[p] = value
 
     @ti.kernel
-    def line_kernel(
-        views: views_type, first: int, height: int, width: int, u: int, vertical: int, epis_out: views_type
-    ):
-        """Copy one view to one place in the line; `height` and `width` are those of the EPIs."""
-        for p in range(height * width):
-            i = p
+    def line_kernel(views: views_type, line: flat(), height: int, width: int, vertical: int, epis_out: views_type):
+        """Copy views to their places in the line; `height` and `width` are those of the EPIs."""
+        size = height * width
+        for i in range(epis_out.shape[0]):
+            p = i % size
             if vertical == 1:
-                i = p % width * height + p // width
-            epis_out[u * height * width + p] = views[first + i]
+                p = p % width * height + p // width
+            epis_out[i] = views[ti.cast(line[i // size], ti.i32) * size + p]
 
     return SimpleNamespace(intensities=intensities_kernel, line=line_kernel)
 
@@ -63,9 +62,12 @@ def intensities(
 
 def line_of_views(views: DeviceArray, line: Sequence[int], *, vertical: bool, epis_out: DeviceArray) -> None:
     kernel, (_, height, width) = _copy_kernels(views.channels, views.scalar).line, epis_out.shape
-    for u, index in enumerate(line):
-        first = int(index) * height * width
-        run(kernel, views.values, first, height, width, u, int(vertical), epis_out.values)
+    run(kernel, views.values, _line(tuple(line)).values, height, width, int(vertical), epis_out.values)
+
+
+@once
+def _line(line: tuple[int, ...]) -> DeviceArray:
+    return table(np.array(line))
 
 
 @ti.func
