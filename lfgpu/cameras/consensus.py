@@ -7,6 +7,7 @@ from lfgpu.contract import Float64Array
 
 _ROUNDS = 30
 _SOFT = 1e-4  # keeps weights of the least absolute deviations finite
+_DEPENDENT = 1e-12  # of the largest singular value: less is no direction
 _TREND = 6  # parameters of the trend
 _ALIKE = 8  # views that are compared with each other, those about as far from the reference
 _FACTOR = 6.0  # times the usual distance: what lies further stands out
@@ -27,7 +28,7 @@ def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
     flat = shifts.reshape(2 * count, -1)
     if shifts.ndim == 3:
         return np.asarray((flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]).reshape(shifts.shape))
-    return np.asarray(_robust_rest(basis, flat[:, 0]).reshape(shifts.shape))
+    return np.asarray(_robust_rest(basis, flat).reshape(shifts.shape))
 
 
 def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
@@ -39,7 +40,7 @@ def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
     basis = np.concatenate([np.ones((len(offsets), 1)), offsets], axis=1)
     if values.ndim == 2:
         return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
-    return _robust_rest(basis, values)
+    return _robust_rest(basis, values[:, None])[:, 0]
 
 
 def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, *, least: float) -> NDArray[np.bool_]:
@@ -67,7 +68,7 @@ def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:
         return values - np.median(values, axis=0)
     u, v = (offsets / max(float(np.abs(offsets).max()), 1e-9)).T
     basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-    return np.stack([_robust_rest(basis, column) for column in values.T], axis=1)
+    return _robust_rest(basis, values)
 
 
 def usual_rest(rest: Float64Array) -> float:
@@ -80,11 +81,13 @@ def usual_rest(rest: Float64Array) -> float:
 
 
 def _robust_rest(basis: Float64Array, values: Float64Array) -> Float64Array:
-    weight = np.ones(len(values))
-    rest = values
+    """Remove from each column of values [n, k] its fit of least absolute deviations by columns of a basis."""
+    left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
+    columns = left[:, sizes > _DEPENDENT * sizes[0]]  # cameras in one line tell nothing of the other axis
+    rest, weight = values, np.ones_like(values)
     for _ in range(_ROUNDS):
-        root = np.sqrt(weight)
-        found = np.linalg.lstsq(basis * root[:, None], values * root, rcond=None)[0]
-        rest = values - basis @ found
+        weighted = columns.T * weight.T[:, None]
+        found = np.linalg.solve(weighted @ columns, weighted @ values.T[..., None])
+        rest = values - (columns @ found[..., 0].T)
         weight = 1 / np.maximum(np.abs(rest), _SOFT)
-    return np.asarray(rest)
+    return rest

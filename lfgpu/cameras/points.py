@@ -124,20 +124,20 @@ def hidden(
     (height, width), least = lf.size, _TOLERANCE / farthest(lf)
     covered = np.zeros((len(index), len(x)), np.bool_)
     d = map_[y, x].astype(np.float64)
-    distance = np.maximum(np.hypot(*lf.offsets[index].T), 1e-9)
-    reach = int(np.ceil((float(map_.max()) - float(d.min())) * distance.max())) + 1
+    distance, nearest = np.maximum(np.hypot(*lf.offsets[index].T), 1e-9), float(map_.max())
+    reach = int(np.ceil((nearest - float(d.min())) * distance.max())) + 1
     behind = np.flatnonzero(_nearest_around(map_, reach)[y // _BLOCK, x // _BLOCK] - d >= least)
+    if not len(behind):
+        return covered
     d, y, x = d[behind], y[behind], x[behind]
-    for n, (du, dv), far in zip(range(len(index)), lf.offsets[index], distance, strict=True):
-        if far < 1e-6 or not len(d):
-            continue
-        steps = np.arange(1, int(np.ceil((float(map_.max()) - float(d.min())) * far)) + 1)[:, None] / far
-        rows = np.rint(y + steps * dv).astype(np.intp)
-        columns = np.rint(x + steps * du).astype(np.intp)
-        inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-        nearer = map_[rows.clip(0, height - 1), columns.clip(0, width - 1)] - d
-        found = inside & (nearer >= np.maximum(steps - 0.7 / far, least)) & (nearer <= steps + 0.7 / far)
-        covered[n, behind] = found.any(0)
+    far = distance[:, None, None]
+    steps = np.arange(1, int(np.ceil((nearest - float(d.min())) * distance.max())) + 1)[:, None] / far
+    du, dv = lf.offsets[index].T[..., None, None]
+    rows = np.rint(y + steps * dv).astype(np.intp).clip(-1, height) + 1
+    columns = np.rint(x + steps * du).astype(np.intp).clip(-1, width) + 1
+    nearer = np.pad(map_, 1, constant_values=np.nan).take(rows * (width + 2) + columns) - d
+    found = (nearer >= np.maximum(steps - 0.7 / far, least)) & (nearer <= steps + 0.7 / far)
+    covered[:, behind] = found.any(1)
     return covered
 
 

@@ -22,15 +22,16 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.threads import in_threads
 
 _SHARE = 0.5  # of a finding
+_FIRST, _SURELY_RIGHT = 4, 0.5  # one in so many points ends it, if by them alone cameras have so little of that share
 _IN_ALL, _LEAST, _MOST = 32_000, 400, 800  # points in all views, and bounds of those in each
 _FEWEST = 150  # points: from fewer nothing is said
-_AT_ONCE = 14  # views that are looked up together
+_AT_ONCE = 7000  # places that are looked up together
 _AGREE = 0.2  # pixels: views that differ from the reference by no more than this in the median have the right axes
 _ROUNDS = 2  # of robust weights
 _LEAST_NOISE = 0.003  # intensity
 _SIDES = 4  # views, those farthest away, in which the order of depth is compared
 _TOLD = 50  # pixels that tell the order of depth; from fewer nobody can tell
-_PART, _BETTER = 6, 0.5  # one in so many rows ends it, if right cameras leave so much less there than the other order
+_PART, _BETTER = 12, 0.5  # one in so many rows ends it, if right cameras leave so much less there than the other order
 _AS_GOOD = 0.7  # of the loss: right cameras leave at most half of what the other order of depth leaves
 
 
@@ -44,8 +45,16 @@ def worth_a_look(lf: LightField, disparity: NDArray[np.float32]) -> bool:
 
 def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]) -> bool:
     """Tell whether views may be out of line, turned, scaled, of other brightness, or at mirrored places."""
+    return _fault(lf, map_, y[::_FIRST], x[::_FIRST]) > _SURELY_RIGHT and _fault(lf, map_, y, x) > 1
+
+
+def _fault(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]) -> float:
+    """Measure how far views are out of line, turned, scaled or of other brightness, in units of what is worth a look.
+
+    Noise between the views counts as well: mirrored places leave much of it.
+    """
     offsets, radius = lf.offsets, float(np.hypot(*lf.size)) / 2
-    parts = np.array_split(np.arange(len(lf.views)), -(-len(lf.views) // _AT_ONCE))
+    parts = np.array_split(np.arange(len(lf.views)), -(-len(lf.views) * len(x) // _AT_ONCE))
     looks = in_threads(lambda some: _shown(lf, map_, some, y, x), parts)
     value, by_x, by_y, seen = (np.concatenate(shown) for shown in zip(*looks, strict=True))
     parallax = by_x * offsets[:, :1] + by_y * offsets[:, 1:]
@@ -67,19 +76,20 @@ def _may_be_off(lf: LightField, map_: NDArray[np.float32], y: NDArray[np.intp], 
         left = left - np.einsum("nk,nkp->np", found, jacobian)
         noise = max(_LEAST_NOISE, 1.4826 * float(np.median(np.abs(left[seen > 0]))))
         weight = seen / (1 + (left / (3 * noise)) ** 2) ** 2
-    if noise > _AGREE * float(np.median(np.hypot(by_x, by_y))):
-        return True
-    shift = consensus.smooth_rest(consensus.without_gauge(found[:, :2], offsets), offsets)
-    shape = consensus.smooth_rest(found[:, 2:4], offsets)  # at the half diagonal, pixels
+    shift = consensus.without_gauge(found[:, :2], offsets)
     level = float(np.clip(np.median(template), 0.02, 1.0))
-    bright = consensus.smooth_rest((found[:, 4] + found[:, 5] / level)[:, None], offsets)
-    return bool(
-        np.linalg.norm(shift, axis=1).max() > _SHARE * findings.MOVED
-        or consensus.usual_rest(shift) > _SHARE * findings.OUT_OF_LINE
-        or np.abs(shape).max() > _SHARE * findings.TURNED
-        or max(consensus.usual_rest(column[:, None]) for column in shape.T) > _SHARE * findings.OUT_OF_SHAPE
-        or np.abs(bright).max() > _SHARE * findings.BRIGHTER
+    bright = found[:, 4:5] + found[:, 5:] / level
+    trends = consensus.smooth_rest(np.concatenate([shift, found[:, 2:4], bright], axis=1), offsets)
+    shift, shape, bright = np.split(trends, [2, 4], axis=1)  # shape: at the half diagonal, pixels
+    sizes = (
+        (noise, 2 * _AGREE * float(np.median(np.hypot(by_x, by_y)))),
+        (np.linalg.norm(shift, axis=1).max(), findings.MOVED),
+        (consensus.usual_rest(shift), findings.OUT_OF_LINE),
+        (np.abs(shape).max(), findings.TURNED),
+        (max(consensus.usual_rest(column[:, None]) for column in shape.T), findings.OUT_OF_SHAPE),
+        (np.abs(bright).max(), findings.BRIGHTER),
     )
+    return max(float(size / max(_SHARE * limit, 1e-12)) for size, limit in sizes)
 
 
 def _shown(

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.cameras.points import Points, known_pixels
-from lfgpu.cameras.surface import LABELS, grey, patches, sweep
+from lfgpu.cameras.surface import LABELS, grey, grey_at, patches, sweep
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 
@@ -118,9 +118,10 @@ def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: in
     bands = np.arange(lf.size[0]) // _BAND % part == part // 2
     known = known_pixels(lf, disparity) & bands[:, None]
     distance = np.hypot(*lf.offsets.T)
-    image, (height, width) = grey(lf, lf.reference_index).ravel(), lf.size
-    map_ = disparity.ravel()
+    map_, (height, width) = disparity.ravel(), lf.size
     order = np.flatnonzero(known)
+    image = np.zeros(height * width, np.float32)
+    image[order] = grey_at(lf, lf.reference_index, order)
     order = order[np.argsort(map_[order], kind="stable")].astype(np.int32)
     d, (rows, columns) = map_[order], np.divmod(order, np.int32(width))
     side = max(lf.size) / _PARTS
@@ -138,12 +139,11 @@ def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: in
         if not len(there):
             continue
         # How bright the whole view is does not say what hides what.
-        shown = grey(lf, int(n)).ravel()
-        brighter = float(image[front[there]].mean()) / max(float(shown[there].mean()), 1e-6)
-        both = np.flatnonzero(front != back)
+        brighter = float(image[front[there]].mean()) / max(float(grey_at(lf, int(n), there).mean()), 1e-6)
+        both = there[front[there] != back[there]]
         front, back = front[both], back[both]
         apart = (map_[front] - map_[back] > _GAP / distance.max()) & (np.abs(image[front] - image[back]) > _DIFFERENT)
-        front, back, shown = front[apart], back[apart], brighter * shown[both[apart]]
+        front, back, shown = front[apart], back[apart], brighter * grey_at(lf, int(n), both[apart])
         row, column = np.divmod(front, width)
         place = (row / side).astype(np.intp) * _PARTS + (column / side).astype(np.intp)
         told += len(place)

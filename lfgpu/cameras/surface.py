@@ -19,6 +19,11 @@ def grey(lf: LightField, index: int) -> NDArray[np.float32]:
     return _grey(lf.views[index], lf.scale)
 
 
+def grey_at(lf: LightField, index: int, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+    """Average the colours of some pixels of a view, given by their places row by row: float32 [p] in [0, 1]."""
+    return _grey(lf.views[index].reshape(-1, lf.channels).take(pixels, axis=0), lf.scale)
+
+
 class Surface:
     """Cubic B-spline surface over a picture [y, x, c], or several [n, y, x, c], with the pixels as coefficients.
 

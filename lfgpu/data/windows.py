@@ -9,17 +9,17 @@ from numpy.typing import NDArray
 
 def window_max(values: NDArray[Any], size: int) -> NDArray[Any]:
     """Find the largest of the size x size pixels around each pixel [y, x], within the image; size is odd."""
-    return _along_both(np.maximum, values, size, "edge")
+    return _along_both(_extremes(np.maximum), values, size, "edge")
 
 
 def window_min(values: NDArray[Any], size: int) -> NDArray[Any]:
     """Find the smallest value; as `window_max`."""
-    return _along_both(np.minimum, values, size, "edge")
+    return _along_both(_extremes(np.minimum), values, size, "edge")
 
 
 def window_mean(values: NDArray[Any], size: int) -> NDArray[Any]:
     """Average the size x size pixels around each pixel [y, x], mirrored at the borders; size is odd."""
-    return _along_both(np.add, values, size, "symmetric") / values.dtype.type(size**2)
+    return _along_both(_sums, values, size, "symmetric") / values.dtype.type(size**2)
 
 
 def smoothed(values: NDArray[np.float32], deviation: float) -> NDArray[np.float32]:
@@ -57,16 +57,37 @@ def _weighted(values: NDArray[np.float32], weights: Sequence[float], axis: int) 
     return np.moveaxis(total, 0, axis)
 
 
-def _along_both(join: Callable[..., NDArray[Any]], values: NDArray[Any], size: int, beyond: Any) -> NDArray[Any]:
+_Windows = Callable[[NDArray[Any], int], NDArray[Any]]
+"""Joins each value along the first axis and those after it, so many in all."""
+
+
+def _along_both(join: _Windows, values: NDArray[Any], size: int, beyond: Any) -> NDArray[Any]:
     radius = size // 2
     for axis in (0, 1):
         around = np.pad(values, [(radius, radius) if axis == k else (0, 0) for k in (0, 1)], mode=beyond)
-        along = np.moveaxis(around, axis, 0)
-        result = along[: values.shape[axis]].copy()
-        for k in range(1, size):
-            join(result, along[k : k + values.shape[axis]], out=result)
-        values = np.moveaxis(result, 0, axis)
+        values = np.moveaxis(join(np.moveaxis(around, axis, 0), size), 0, axis)
     return values
+
+
+def _sums(values: NDArray[Any], size: int) -> NDArray[Any]:
+    count = len(values) - size + 1
+    total = values[:count].copy()
+    for k in range(1, size):
+        total += values[k : k + count]
+    return total
+
+
+def _extremes(join: Callable[..., NDArray[Any]]) -> _Windows:
+    """Join windows by halves, which may overlap."""
+
+    def of_windows(values: NDArray[Any], size: int) -> NDArray[Any]:
+        if size == 1:
+            return values
+        half = (size + 1) // 2
+        halves = of_windows(values, half)
+        return join(halves[: len(values) - size + 1], halves[size - half :])
+
+    return of_windows
 
 
 def mean_of_channels(values: NDArray[Any], dtype: type[np.floating]) -> NDArray[Any]:

@@ -38,7 +38,10 @@ def contradictions(light_field: LightField) -> tuple[str, ...]:
 
 def no_parallax(light_field: LightField) -> str | None:
     """Return a sentence if all views are the same picture, which shows something; else None."""
-    if len(_copies(light_field)) < len(light_field.views) - 1:
+    views, some = light_field.views, _looked_at(light_field)
+    if not all(np.array_equal(views[0][some], view[some]) for view in views):  # which ends at the first difference
+        return None
+    if len(_copies(light_field)) < len(views) - 1:
         return None
     return (
         "All views are the same picture: there is no parallax, so there is no depth. Probably one camera took them, or "
@@ -57,14 +60,20 @@ def copied(light_field: LightField) -> str | None:
 
 def _copies(light_field: LightField) -> list[tuple[int, int]]:
     """List the views that are the same picture as an earlier one, that first, if it shows something."""
-    views, step = light_field.views, max(1, max(light_field.size) // _LOOKED_AT)
+    views, some = light_field.views, _looked_at(light_field)
     first: dict[bytes, int] = {}
-    pairs = [(first.setdefault(view[::step, ::step].tobytes(), index), index) for index, view in enumerate(views)]
+    pairs = [(first.setdefault(view[some].tobytes(), index), index) for index, view in enumerate(views)]
     return [
         (one, other)
         for one, other in pairs
         if one != other and views[one].min() < views[one].max() and np.array_equal(views[one], views[other])
     ]
+
+
+def _looked_at(light_field: LightField) -> tuple[slice, slice]:
+    """Return the rows and columns that are compared first."""
+    step = max(1, max(light_field.size) // _LOOKED_AT)
+    return np.s_[::step, ::step]
 
 
 def upside_down(light_field: LightField) -> str | None:
