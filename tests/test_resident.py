@@ -166,6 +166,24 @@ def test_a_pipeline_takes_another_light_field() -> None:
     assert_equal(pipeline.estimate(), measured.estimate())
 
 
+@pytest.mark.parametrize("seed", [0, 2])
+def test_stages_at_once_are_those_one_by_one(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    """As on a GPU, which is not waited for after each of them; one of the ranges is widened."""
+    lf = a_scene(seed)
+    found = DepthPipeline(lf, config="fast", device="cpu").measured.disparity_range
+    narrow = (found[0], found[0] + 0.6 * (found[1] - found[0]))
+    if seed:
+        monkeypatch.setattr("lfgpu.methods.base.find_disparity_range", lambda *_, **__: narrow)
+    want = DepthPipeline(lf, config="fast", device="cpu").estimate()
+    assert bool(seed) == (want.disparity_range not in (found, narrow))
+    monkeypatch.setattr("lfgpu.contract.Device.is_gpu", property(lambda _: True))
+    pipeline = DepthPipeline(lf, config="fast", device="cpu")
+    assert_equal(pipeline.estimate(), want)
+    again = pipeline.estimate()
+    assert_equal(again, want)
+    assert again.timings.keys() == {"run", "total"}
+
+
 def test_the_benchmark_of_calls_compares_maps_and_times_parts() -> None:
     rows = list(call.run(["fast"], "cpu", side=48, views=3))
     assert [row["call"] for row in rows] == ["first", "same", "third", "other scene", "first again"]

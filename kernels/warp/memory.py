@@ -198,6 +198,7 @@ def staging(device: str) -> _Staging:
 
 
 _LARGE = 2**22  # bytes
+_POOL = 2**29  # bytes that wait on a GPU for who allocates next, at most: to map pages anew takes milliseconds
 
 _SCALARS: dict[type, Any] = {
     np.uint8: wp.uint8,
@@ -220,6 +221,9 @@ def start() -> None:
         try:
             wp.init()
             started.extend(device.alias for device in wp.get_devices())
+            for device in wp.get_cuda_devices():
+                if device.is_mempool_enabled:
+                    wp.set_mempool_release_threshold(device, _POOL)
         except OSError as error:
             raise cache_is_closed(error) from error
         finally:

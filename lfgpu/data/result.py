@@ -59,7 +59,8 @@ class DepthResult:
         the energy of the refinement, beginning with the energy before the first iteration.
     timings
         Seconds by name: `compile`, until kernels were compiled and loaded; `measure`, for range, noise and memory; each
-        stage; and `total`, the sum. The first two are only there where they were a part of the run.
+        stage, or `run` for all that a GPU was given at once; and `total`, the sum. The first two are only there where
+        they were a part of the run.
     backend, device
         The backend and the device that computed it.
     versions

@@ -282,20 +282,20 @@ class DepthPipeline:
         return self._map(self._plan.disparity)
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
-        """Run all stages and return the result; waits for the device after each stage.
+        """Run all stages and return the result; waits for the device.
 
+        With `on_progress`, and on a CPU, it waits after each stage, and the timings are those of stages.
         The first run also does what `confirm_range` does.
         """
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
         with self._whole_or_undone():
             self._timings = dict(before)
             with self._timed("total"):
-                work = self._captured() if on_progress is None else None
-                if work is None:
+                if on_progress is None and self._device.is_gpu and self.method.is_on_device:
+                    self._follow_at_once()
+                else:
                     self._rectify()
                     self._follow(self.stages(), on_progress)
-                else:
-                    self._follow_captured(work)
             self._timings["total"] += sum(before.values())
             self._runs, self._is_whole, self._is_loaded = self._runs + 1, True, True
         return self.result()
@@ -308,8 +308,9 @@ class DepthPipeline:
             if stage == self._plan.decided:
                 self._plan.check(self._lf.name)
 
-    def _follow_captured(self, work: Callable[[], None]) -> None:
-        """Run all stages at once; again those after the first one, if that takes a wider range."""
+    def _follow_at_once(self) -> None:
+        """Run all stages, and wait for the last only; again those after the first one, if that takes a wider range."""
+        work = self._captured() or self.work
         with self._timed("run"):
             with self._device.asking():
                 work()
