@@ -200,6 +200,18 @@ def test_import_loads_few_modules(tmp_path: Path) -> None:
     assert int(done.stdout) < 60
 
 
+def test_an_estimate_loads_neither_scipy_nor_matplotlib(tmp_path: Path) -> None:
+    done = run_python(
+        "import lfgpu, sys; lf = lfgpu.scenes.make('relief', grid=(3, 3), size=(32, 32), seed=1)\n"
+        "for name in [name for name in sys.modules if name.split('.')[0] == 'scipy']: del sys.modules[name]\n"
+        "lfgpu.estimate_depth(lf, config='fast', device='cpu'); print(*sys.modules)",
+        tmp_path,
+    )
+    loaded = {module.partition(".")[0] for module in done.stdout.split()}
+    assert "warp" in loaded
+    assert not loaded & {"scipy", "matplotlib"}
+
+
 def test_every_public_name_is_there(tmp_path: Path) -> None:
     done = run_python("import lfgpu; print(all(getattr(lfgpu, name) is not None for name in lfgpu.__all__))", tmp_path)
     assert done.stdout.strip() == "True", done.stderr

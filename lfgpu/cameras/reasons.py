@@ -6,7 +6,6 @@ from enum import IntFlag
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import map_coordinates
 
 from lfgpu.cameras.looking import checked_map
 from lfgpu.contract import Float32Array
@@ -100,6 +99,8 @@ def reasons(lf: LightField, result: DepthResult) -> NDArray[np.uint8]:
 
 def _compared(lf: LightField, disparity: Float32Array, image: Float32Array) -> tuple[Float32Array, Float32Array]:
     """Give the share of the other views that see each pixel, and the root mean square difference to those."""
+    from scipy.ndimage import map_coordinates  # slow to import, and rarely needed
+
     height, width = lf.size
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
     seen, total = np.zeros(lf.size, np.float32), np.zeros(lf.size, np.float32)
