@@ -104,14 +104,21 @@ def textured(
     strength = gradient_size(image)
     side = max(image.shape) / _TILES
     rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
-    tiles = (rows / side).astype(np.intp) * _TILES + (columns / side).astype(np.intp)
-    share = max(1, most // max(1, len(np.unique(tiles))))
-    order = np.lexsort((-strength[rows, columns], tiles))
-    starts = np.searchsorted(tiles[order], np.unique(tiles))
+    row, column = ((np.arange(size) / side).astype(np.uint64) for size in image.shape)
+    tiles = row[rows] * np.uint64(_TILES) + column[columns]
+    # By tile, and the strongest first: positive numbers are in the order of their bits. The last bits are the place.
+    room = np.uint64(max(25, len(rows).bit_length()))
+    weakness = np.uint64(2**31 - 1) - strength[rows, columns].view(np.uint32) >> room - np.uint64(25)
+    keys = np.sort(tiles << np.uint64(56) | weakness << room | np.arange(len(rows), dtype=np.uint64))
+    order = (keys & (np.uint64(1) << room) - np.uint64(1)).astype(np.intp)
+    tiles = tiles[order].astype(np.intp)
+    starts = np.flatnonzero(np.diff(tiles, prepend=-1))
+    share = max(1, most // max(1, len(starts)))
     rank = np.arange(len(order)) - np.repeat(starts, np.diff([*starts, len(order)]))
     # Of each part every third of the strongest three times as many: neighbours tell the same.
-    kept = order[(rank < 3 * share) & (rank % 3 == 0)] if len(order) > most else order
-    return rows[kept], columns[kept], tiles[kept]
+    kept = slice(None) if len(order) <= most else (rank < 3 * share) & (rank % 3 == 0)
+    order = order[kept]
+    return rows[order], columns[order], tiles[kept]
 
 
 def hidden(
