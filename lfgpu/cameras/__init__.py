@@ -4,5 +4,3 @@ from lfgpu.cameras.explanation import Explanation, explain, residual_pictures
 from lfgpu.cameras.looking import Budget, Look, look
 from lfgpu.cameras.reasons import Reason, reasons
 from lfgpu.cameras.trust import trusted
-
-__all__ = ["Budget", "Explanation", "Look", "Reason", "explain", "look", "reasons", "residual_pictures", "trusted"]

@@ -228,15 +228,3 @@ def measured_tones(
         found.append(match_tones(shown, weight, radius2, lf.reference_index, vignetting=vignetting))
     gain, offset, falloff = (np.stack(parts, axis=1) for parts in zip(*found, strict=True))
     return gain, offset, falloff
-
-
-__all__ = [
-    "FEWEST",
-    "Budget",
-    "Look",
-    "checked_map",
-    "look",
-    "measured",
-    "measured_tones",
-    "part_of",
-]

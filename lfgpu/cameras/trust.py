@@ -47,6 +47,3 @@ def _spread(lf: LightField, found: Look, used: list[int]) -> Float32Array:
     square = square + 2 * (x * (turn * shift[:, 1]).mean() - y * (turn * shift[:, 0]).mean())
     told = float((lf.offsets[used] ** 2).sum())
     return np.asarray(np.sqrt(np.maximum(square, 0) / told), np.float32)
-
-
-__all__ = ["trusted"]

@@ -29,8 +29,6 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.taken import check_unit
 from lfgpu.io.texts import read_json_or_toml
 
-__all__ = ["BESIDE", "Calibration", "read_calibration", "read_toml", "write_cameras"]
-
 BESIDE = (
     *("cameras.toml", "poses_bounds.npy", "transforms.json", "transforms_train.json", "models.json", "camchain.yaml"),
     *("sparse/0", "sparse"),

@@ -6,5 +6,3 @@ light that each pixel gets, `bayer` its colours; `resampling` makes views; `deco
 
 from lfgpu.io.lenslet.entry import inside, read_lenslet, recognise
 from lfgpu.io.lenslet.written import write_decoded
-
-__all__ = ["inside", "read_lenslet", "recognise", "write_decoded"]

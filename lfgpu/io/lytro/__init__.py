@@ -6,5 +6,3 @@ pictures and makes a light field of the views that a processed container holds. 
 """
 
 from lfgpu.io.lytro.reader import inside, read_lytro, recognise
-
-__all__ = ["inside", "read_lytro", "recognise"]

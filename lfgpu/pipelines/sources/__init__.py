@@ -16,8 +16,6 @@ from lfgpu.pipelines.sources.base import Frames, Options, Source
 from lfgpu.pipelines.sources.feeding import feed
 from lfgpu.pipelines.sources.recording import recorded
 
-__all__ = ["SOURCES", "Frames", "Opened", "Options", "Source", "feed", "open_source", "recorded"]
-
 SOURCES: tuple[Source, ...] = (
     # Those with a prefix come first; the last one takes what is left with a colon.
     Source(
