@@ -380,7 +380,6 @@ def test_decoded_views_are_read_again(sample: Sample, tmp_path: Path) -> None:
     assert np.array_equal(again.views, decoded.light_field.views)
     assert np.array_equal(again.positions, decoded.light_field.positions)
     assert json.loads((tmp_path / "out" / "lenslet.json").read_text()) == decoded.about
-    assert np.array_equal(read_lenslet(raw, white=white).views, again.views)
     text = refusal(lambda: write_decoded(decode(raw, views=5), tmp_path / "out"))
     assert "holds other views already, such as view_00_05.png" in text
     write_decoded(decoded, tmp_path / "out")

@@ -27,13 +27,13 @@ def folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lfgpu" / "decoded"
 
 
-def kept(files: list[Path], options: object, make: Callable[[], LightField]) -> LightField:
-    """Return what was made of the contents of these files before by the same code and options, or make it and keep it.
+def kept(path: Path, make: Callable[[], LightField]) -> LightField:
+    """Return what the same code made of the same contents and name before, or make it and keep it.
 
     What cannot be kept, or read again, is made: nothing is lost but time.
     """
     try:
-        place = folder() / f"{_digest(files, options)}.npz"
+        place = folder() / f"{_digest(path)}.npz"
     except OSError:
         return make()  # which says what is wrong
     with suppress(OSError, ValueError, KeyError, zipfile.BadZipFile, LfgpuError):
@@ -48,12 +48,11 @@ def kept(files: list[Path], options: object, make: Callable[[], LightField]) -> 
     return light_field
 
 
-def _digest(files: list[Path], options: object) -> str:
-    found = hashlib.sha256(repr(options).encode())
-    for file in (*files, *sorted(Path(__file__).parent.glob("*.py"))):
+def _digest(path: Path) -> str:
+    found = hashlib.sha256(path.stem.encode())
+    for file in (path, *sorted(Path(__file__).parent.glob("*.py"))):
         found.update(str(file.stat().st_size).encode())
         found.update(file.read_bytes())
-    found.update(files[0].stem.encode())  # the name of the light field
     return found.hexdigest()
 
 
@@ -107,18 +106,11 @@ def recognise(path: Path) -> str | None:
     return None if lattice is None else f"it is a grey picture of microlenses, {lattice}"
 
 
-def read_lenslet(
-    path: str | os.PathLike[str],
-    *,
-    bayer: str | None = None,
-    white: str | os.PathLike[str] | None = None,
-    views: int | None = None,
-) -> LightField:
+def read_lenslet(path: Path) -> LightField:
     """Read the light field of a raw capture, decoded as by `decode.decode` or kept from the last time."""
     from lfgpu.io.lenslet.decode import decode  # scipy is not for those who read something else
 
-    files = [Path(path), *([] if white is None else [Path(white)])]
-    return kept(files, (bayer, views), lambda: decode(path, bayer=bayer, white=white, views=views).light_field)
+    return kept(path, lambda: decode(path).light_field)
 
 
 def inside(path: Path) -> Inside:
