@@ -30,7 +30,7 @@ REFERENCE = BackendInfo("reference", "numpy", "2.0", ("cpu",))
 
 @pytest.fixture
 def only_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_backends, "describe_backends", lambda: (REFERENCE,))
+    monkeypatch.setattr(checkup, "describe_backends", lambda: (REFERENCE,))
 
 
 def doctor(*options: str) -> Any:
@@ -60,7 +60,7 @@ def test_json_holds_the_same() -> None:
 
 def test_the_default_backend_is_held_against_the_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     warp = BackendInfo("warp", "warp-lang", "1.0", ("cpu",))
-    monkeypatch.setattr(_backends, "describe_backends", lambda: (warp, REFERENCE))
+    monkeypatch.setattr(checkup, "describe_backends", lambda: (warp, REFERENCE))
     found = checkup.examine()
     assert [trial.what for trial in found.trials][-2:] == ["reference on cpu", "warp on cpu"]
     assert found.trials[-1].from_reference is not None
@@ -79,7 +79,7 @@ def test_a_wrong_map_is_a_problem(wrong: float, monkeypatch: pytest.MonkeyPatch)
         result = true(*arguments, **options)
         return replace(result, disparity=result.disparity + np.float32(wrong))
 
-    monkeypatch.setattr(estimate, "estimate_depth", off)
+    monkeypatch.setattr(checkup, "estimate_depth", off)
     outcome = doctor()
     assert outcome.exit_code == 1
     assert re.search(r"reference on cpu +failed after", outcome.stdout)
@@ -95,8 +95,8 @@ def test_two_backends_that_differ_are_a_problem(monkeypatch: pytest.MonkeyPatch)
         return replace(result, disparity=result.disparity + np.float32(0.01 * (backend == "warp")))
 
     warp = BackendInfo("warp", "warp-lang", "1.0", ("cpu",))
-    monkeypatch.setattr(_backends, "describe_backends", lambda: (warp, REFERENCE))
-    monkeypatch.setattr(estimate, "estimate_depth", off)
+    monkeypatch.setattr(checkup, "describe_backends", lambda: (warp, REFERENCE))
+    monkeypatch.setattr(checkup, "estimate_depth", off)
     (problem,) = checkup.examine().problems
     assert problem.startswith("The map by warp on cpu is wrong by 0.01")
 
@@ -106,14 +106,14 @@ def test_an_estimate_that_raises_is_a_problem(monkeypatch: pytest.MonkeyPatch) -
     def broken(*arguments: Any, **options: Any) -> Any:
         raise RuntimeError("the driver\nis gone")
 
-    monkeypatch.setattr(estimate, "estimate_depth", broken)
+    monkeypatch.setattr(checkup, "estimate_depth", broken)
     assert checkup.examine().problems == ("The estimate by reference on cpu failed: the driver is gone.",)
 
 
 def test_a_broken_package_is_a_problem_and_one_that_is_not_there_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
     missing = BackendInfo("taichi", "taichi", None, (), "cannot be loaded: No module named 'taichi'", "pip install x")
     broken = BackendInfo("warp", "warp-lang", "1.0", (), "cannot be loaded: OSError: libwarp.so", "pip install y")
-    monkeypatch.setattr(_backends, "describe_backends", lambda: (broken, missing, REFERENCE))
+    monkeypatch.setattr(checkup, "describe_backends", lambda: (broken, missing, REFERENCE))
     assert checkup.examine().problems == (
         "The backend warp cannot be loaded: OSError: libwarp.so; run: pip install y.",
     )
@@ -122,7 +122,7 @@ def test_a_broken_package_is_a_problem_and_one_that_is_not_there_is_none(monkeyp
 def test_a_cache_that_cannot_be_written_to_is_a_problem(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     file = tmp_path / "file"
     file.touch()
-    monkeypatch.setattr(_backends, "describe_backends", lambda: (REFERENCE,))
+    monkeypatch.setattr(checkup, "describe_backends", lambda: (REFERENCE,))
     monkeypatch.setattr(_backends.load("reference"), "kernel_cache", lambda: str(file / "cache"))
     (problem,) = checkup.examine().problems
     assert problem.startswith(f"The backend reference cannot keep compiled kernels in {file / 'cache'}: make")
@@ -130,12 +130,10 @@ def test_a_cache_that_cannot_be_written_to_is_a_problem(monkeypatch: pytest.Monk
 
 @pytest.mark.usefixtures("only_reference")
 def test_a_full_disk_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    import lfgpu.io
-
     def full(*_: Any) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(lfgpu.io, "write_hci", full)
+    monkeypatch.setattr(checkup, "write_hci", full)
     (problem,) = checkup.examine().problems
     assert "cannot be written to" in problem
     assert "No space left" in problem
@@ -160,7 +158,7 @@ def test_a_library_that_does_not_fit_is_a_problem(
 
 @pytest.mark.usefixtures("only_reference")
 def test_a_library_that_reads_something_else_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfgpu.io.images.read_image", lambda path: (np.zeros((64, 80, 3)), frozenset()))
+    monkeypatch.setattr("lfgpu.cli.checkup.read_image", lambda path: (np.zeros((64, 80, 3)), frozenset()))
     png, tiff = checkup.examine().problems
     assert png.startswith("The part png does not work with imagecodecs")
     assert "what is read differs by" in tiff
@@ -173,7 +171,7 @@ def test_every_extra_for_users_is_looked_at() -> None:
 
 
 def test_a_part_that_is_not_there_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(_backends, "describe_backends", lambda: (REFERENCE,))
+    monkeypatch.setattr(checkup, "describe_backends", lambda: (REFERENCE,))
     monkeypatch.setattr(checkup, "version_of", lambda name: None if name == "viser" else "1.0")
     outcome = doctor()
     assert outcome.exit_code == 0

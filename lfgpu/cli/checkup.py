@@ -4,45 +4,43 @@ self-test.
 
 from __future__ import annotations
 
+import importlib
 import importlib.metadata
 import multiprocessing
 import os
 import platform
 import re
+import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
+from lfgpu._backends import DEFAULT, BackendInfo, BackendName, backend_named, describe_backends, load
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LfgpuError
-from lfgpu.io.damage import how_to_install
-from lfgpu.machine import version_of
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from lfgpu._backends import BackendInfo, BackendName
-    from lfgpu.data.lightfield import LightField
-import importlib
-from collections.abc import Callable
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from lfgpu.data.lightfield import LightField
-
+from lfgpu.io import read, read_map, save, write_hci
+from lfgpu.io.damage import how_to_install, physical_memory
+from lfgpu.io.frames import write_frames, write_image
+from lfgpu.io.images import read_image
+from lfgpu.io.png import write_png
+from lfgpu.machine import device_memory, device_name, free_memory, version_of
+from lfgpu.pipelines.estimate import estimate_depth
+from lfgpu.scenes import make
+from lfgpu.threads import get_threads
 
 Difference = float
 """The largest difference between what was written and what was read."""
 
 
 def _exr(lf: LightField, place: Path) -> Difference:
-    from lfgpu.data.result import DisparityMap
-    from lfgpu.io import read_map, save
-
     disparity = lf.image(0)[..., 0]
     save(DisparityMap(disparity), place / "map.exr")
     return _apart(read_map(place / "map.exr"), disparity)
@@ -51,8 +49,6 @@ def _exr(lf: LightField, place: Path) -> Difference:
 def _hdf5(lf: LightField, place: Path) -> Difference:
     import h5py
 
-    from lfgpu.io import read
-
     views = lf.views.reshape(*(lf.grid_shape or ()), *lf.views.shape[1:])
     with h5py.File(place / "views.h5", "w") as file:
         file["LF"] = views
@@ -60,25 +56,16 @@ def _hdf5(lf: LightField, place: Path) -> Difference:
 
 
 def _tiff(lf: LightField, place: Path) -> Difference:
-    from lfgpu.io.frames import write_image
-    from lfgpu.io.images import read_image
-
     write_image(lf.image(0), place / "view.tif")
     return _apart(read_image(place / "view.tif")[0], lf.image(0))
 
 
 def _png(lf: LightField, place: Path) -> Difference:
-    from lfgpu.io.images import read_image
-    from lfgpu.io.png import write_png
-
     write_png(place / "view.png", lf.views[0])
     return _apart(read_image(place / "view.png")[0], lf.views[0])
 
 
 def _video(lf: LightField, place: Path) -> Difference:
-    from lfgpu.io import read
-    from lfgpu.io.frames import write_frames
-
     write_frames((lf.image(index) for index in range(3)), place / "film.mp4")
     found = read(place / "film.mp4").views / 255
     return max(0.0, float(abs(found - lf.views[:3] * lf.scale).mean()) - _LOSS)
@@ -108,8 +95,6 @@ def _imported(*modules: str) -> Difference:
 
 
 def _apart(found: Any, expected: NDArray[Any] | list[float]) -> Difference:
-    import numpy as np
-
     return float(np.abs(np.asarray(found, float) - np.asarray(expected, float)).max())
 
 
@@ -216,9 +201,6 @@ class Checkup:
 
 def examine() -> Checkup:
     """Examine the installation and run the self-test."""
-    from lfgpu._backends import describe_backends
-    from lfgpu.threads import get_threads
-
     backends = describe_backends()
     caches, parts = tuple(_caches(backends)), tuple(_parts())
     trials = tuple(_trials(backends, parts))
@@ -267,16 +249,12 @@ def _parts() -> Iterator[Part]:
 
 
 def _devices(backends: tuple[BackendInfo, ...]) -> Iterator[Device]:
-    from lfgpu.machine import device_memory, device_name
-
     for info in backends:
         for device in info.devices:
             yield Device(info.name, device, device_name(device), device_memory(device))
 
 
 def _caches(backends: tuple[BackendInfo, ...]) -> Iterator[Cache]:
-    from lfgpu._backends import load
-
     for info in backends:
         folder = load(info.name).kernel_cache() if info.problem is None else None
         if folder is not None:
@@ -291,11 +269,6 @@ def _writable(folder: Path) -> bool:
 
 
 def _memory() -> dict[str, int | None]:
-    import shutil
-
-    from lfgpu.io.damage import physical_memory
-    from lfgpu.machine import free_memory
-
     return {
         "machine": physical_memory() or None,
         "free": free_memory(),
@@ -308,8 +281,6 @@ def _memory() -> dict[str, int | None]:
 
 def _of_backends(backends: tuple[BackendInfo, ...]) -> Iterator[str]:
     """Yield the problems of backends; one that is not installed is no problem, but for the default one."""
-    from lfgpu._backends import DEFAULT
-
     for info in backends:
         if info.problem is not None and (info.version is not None or info.name == DEFAULT):
             remedy = f"; run: {info.remedy}" if info.remedy else ""
@@ -328,9 +299,6 @@ def _of_cache(cache: Cache) -> str:
 
 def _trials(backends: tuple[BackendInfo, ...], parts: tuple[Part, ...]) -> Iterator[Trial]:
     """Try files of all formats whose packages are there, then an estimate on each device, the reference first."""
-    from lfgpu._backends import backend_named
-    from lfgpu.scenes import make
-
     lf = make(_SCENE, grid=_GRID, size=_SIZE, disparity_range=_RANGE)
     yield _files(lf)
     for part in parts:
@@ -347,10 +315,6 @@ def _trials(backends: tuple[BackendInfo, ...], parts: tuple[Part, ...]) -> Itera
 
 
 def _files(lf: LightField) -> Trial:
-    import numpy as np
-
-    from lfgpu.io import read, write_hci
-
     start = perf_counter()
     problem = None
     try:
@@ -394,10 +358,6 @@ def _estimate_apart(
 def _estimate(
     lf: LightField, backend: BackendName, device: str, expected: NDArray[Any] | None
 ) -> tuple[Trial, NDArray[Any] | None]:
-    import numpy as np
-
-    from lfgpu.pipelines.estimate import estimate_depth
-
     what, start = f"{backend} on {device}", perf_counter()
     try:
         found = estimate_depth(

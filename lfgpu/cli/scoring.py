@@ -1,21 +1,40 @@
-"""`lfgpu eval` for comparisons: several methods on several scenes, or several batches, as tables and error maps."""
+"""Work of `lfgpu eval`: scores of a map, comparisons of methods and of batches, submissions to the benchmark."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from lfgpu import metrics
+from lfgpu.batch.items import MANIFEST_FILE
+from lfgpu.batch.manifest import DONE, read_manifest, standing
+from lfgpu.cli import console as shown
+from lfgpu.cli.console import comparison, output, region_scores, remark, scores
+from lfgpu.cli.summary import scored_where, show_outputs
+from lfgpu.comparison import Scene, Table, table, table_of
+from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.summary import view_at
+from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
+from lfgpu.io import (
+    MAP_FORMATS,
+    atomic_folder,
+    check_writable,
+    holds_map,
+    load,
+    one_map,
+    read,
+    read_map,
+    read_mask,
+    result_in,
+)
+from lfgpu.io.hci_submission import read_region_masks, write_submission
 from lfgpu.io.map_formats import REPORT_FILE
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-    from rich.console import Console
-
-    from lfgpu.comparison import Scene, Table
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.metrics import Metrics
+from lfgpu.metrics import BORDER, Metrics, evaluate, evaluate_regions, other_unit
 
 _FILES = {
     "table.md": "scores, for a README",
@@ -26,13 +45,88 @@ _FILES = {
 }
 
 
+def score(result: Path, truth: Path, mask: Path | None, border: int | None) -> None:
+    """Score a map against its ground truth, a map or a light field, and print the scores."""
+    left_out = BORDER if border is None else border
+    maps, estimate = _maps(result, truth)
+    true = _truth(truth, None if estimate is None else estimate.position)
+    where = true.mask if mask is None else read_mask(mask)
+    rows = {name: evaluate(values, true.disparity, mask=where, border=left_out) for name, values in maps.items()}
+    console = output()
+    scores(console, rows)
+    remark(console, scored_where(next(iter(rows.values())).count, left_out))
+    if (doubt := other_unit(list(maps.values())[-1], true.disparity, mask=where)) is not None:
+        remark(console, doubt)
+    if truth.is_dir() and (regions := read_region_masks(truth)):
+        region_scores(
+            console,
+            {name: evaluate_regions(values, true.disparity, regions, border=left_out) for name, values in maps.items()},
+        )
+    if estimate is not None and estimate.confidence is not None:
+        curve = metrics.sparsification(
+            estimate.disparity, estimate.confidence, true.disparity, mask=where, border=left_out
+        )
+        shown.sparsification(console, curve)
+
+
+def submit(results: list[Path], out: Path) -> None:
+    """Write a submission from folders that depth wrote; what is missing is said."""
+    check_writable(out)
+    found = {}
+    for path in results:
+        _check_exists(path)
+        result = load(path)
+        if not isinstance(result, DepthResult) or "total" not in result.timings:
+            raise LightFieldError(f"{path} does not say how long it took; give folders that depth wrote.")
+        scene = path.resolve().name.lower() if path.is_dir() else path.stem.lower()
+        if scene in found:
+            raise LightFieldError(f"{path} is a second result of the scene {scene!r}; give one of each.")
+        found[scene] = (result.disparity, result.timings["total"])
+    missing = write_submission(out, found)
+    console = output()
+    show_outputs(console, out, [("disp_maps/", f"{len(found)} maps"), ("runtimes/", "seconds, of the estimate alone")])
+    if missing:
+        remark(console, f"The benchmark takes all twelve scenes; {len(missing)} are missing: {', '.join(missing)}.")
+
+
+def _maps(path: Path, truth: Path) -> tuple[dict[str, NDArray[np.float32]], DepthResult | DisparityMap | None]:
+    """Read the maps to score, by name (the stages of a result), and the estimate itself, if its view is known."""
+    _check_exists(path)
+    whole = load(path)
+    file = result_in(path) or path if path.is_dir() else path
+    if isinstance(whole, DepthResult):
+        return whole.disparity_stages, whole
+    several = isinstance(whole, ViewsResult)
+    known = read(truth, allow_missing=True).truth if several and truth.is_dir() else None
+    found = one_map(whole, None if known is None else known.position)
+    return {file.name: found.disparity}, None if found.position is None else found
+
+
+def _check_exists(path: Path) -> None:
+    if not path.exists():
+        raise LightFieldError(
+            f"{path} does not exist; give a map, a folder that `lfgpu depth` wrote, or a light field."
+        )
+
+
+def _truth(path: Path, position: tuple[float, float] | None) -> GroundTruth:
+    """Read the ground truth in a map or a light field. It must belong to the view at `position` (u, v), if known."""
+    _check_exists(path)
+    if not path.is_dir():
+        return GroundTruth(read_map(path), position or (0.0, 0.0))
+    known = read(path, allow_missing=True).truth
+    if known is None:
+        raise LightFieldError(f"{path} holds no ground truth; give a map of it, or another light field.")
+    if position is not None and known.position != position:
+        raise LightFieldError(
+            f"the ground truth in {path} belongs to the view at {view_at(known.position)}, but the result belongs to "
+            f"the view at {view_at(position)}; give a result of that view."
+        )
+    return known
+
+
 def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: int | None) -> None:
     """Score methods on scenes, print the table, and write files into the folder `out`, if given."""
-    from lfgpu.cli.summary import show_outputs
-    from lfgpu.comparison import table
-    from lfgpu.io import check_writable
-    from lfgpu.metrics import BORDER
-
     if out is not None:
         check_writable(out)
     _check_names("methods", "column", [method.resolve().name for method in methods])
@@ -51,20 +145,11 @@ def compare(methods: list[Path], scenes: list[Path], out: Path | None, border: i
 
 def are_batches(folders: list[Path]) -> bool:
     """Tell whether all folders are outputs of `lfgpu batch`."""
-    from lfgpu.batch.items import MANIFEST_FILE
-
     return all((folder / MANIFEST_FILE).is_file() for folder in folders)
 
 
 def compare_batches(folders: list[Path], out: Path | None) -> None:
     """Print the scores that batches recorded: of each item with ground truth, and their averages."""
-    from lfgpu.batch.manifest import DONE, read_manifest, standing
-    from lfgpu.cli.console import remark
-    from lfgpu.cli.summary import show_outputs
-    from lfgpu.comparison import table_of
-    from lfgpu.io import check_writable
-    from lfgpu.metrics import BORDER
-
     if out is not None:
         check_writable(out)
     names = [folder.resolve().name for folder in folders]
@@ -115,8 +200,6 @@ def _check_names(what: str, line: str, names: list[str]) -> None:
 
 
 def _show(scored: Table, border: int) -> Console:
-    from lfgpu.cli.console import comparison, output, remark
-
     console = output()
     comparison(console, scored)
     remark(
@@ -128,8 +211,6 @@ def _show(scored: Table, border: int) -> Console:
 
 
 def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
-    from lfgpu.metrics import Metrics
-
     try:
         return Metrics(**{name: float("nan") if value is None else value for name, value in found.items()})  # type: ignore[arg-type]
     except TypeError as error:
@@ -139,7 +220,6 @@ def _metrics(found: dict[str, float | None], folder: Path) -> Metrics:
 
 
 def _write(out: Path, scenes: list[Scene], scored: Table) -> None:
-    from lfgpu.io import atomic_folder
     from lfgpu.reports.comparison import write_comparison
     from lfgpu.viz.pictures import save_picture
     from lfgpu.viz.sheets import comparison
@@ -156,9 +236,6 @@ def _write_tables(folder: Path, scored: Table) -> None:
 
 
 def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scene:
-
-    from lfgpu.comparison import Scene
-    from lfgpu.io import read
 
     lf = read(path, allow_missing=True)
     if lf.truth is None:
@@ -183,8 +260,6 @@ def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scen
 
 def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
     """Return the file with a method's result on a scene; None if there is none."""
-    from lfgpu.io import MAP_FORMATS, holds_map, result_in
-
     single = [method / f"{scene}{suffix}" for entry in MAP_FORMATS for suffix in entry.suffixes]
     found = result_in(method / scene) or next((file for file in single if holds_map(file)), None)
     return found or (
@@ -193,9 +268,6 @@ def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:
-    from lfgpu.data.summary import view_at
-    from lfgpu.io import load, one_map
-
     assert lf.truth is not None  # the caller looked
     result = one_map(load(file), lf.truth.position)
     if result.position is not None and result.position != lf.truth.position:
