@@ -16,9 +16,9 @@ import taichi as ti
 from lfgpu.contract import GRADIENT_REACH, ZBuffer
 
 from .edges import weigh_edges
-from .landing import land, within
+from .landing import land, share_of_view, tasks_of_view, within
 from .memory import DeviceArray, empty, flat, numpy, optional
-from .runtime import TASK, on_cpu, once, run
+from .runtime import on_cpu, once, run
 
 _NOWHERE = -1e6  # the disparity of what nothing comes near
 _LOWEST = int(np.float32(_NOWHERE).view(np.int32)) ^ 0x7FFFFFFF  # its rank
@@ -76,26 +76,19 @@ def _nearest_kernel(cpu: bool) -> Any:
         size = height * width
         for i in range(count * room):
             fronts[i] = _LOWEST
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    n = task // TASK
-                    du = offsets[2 * (first + n)]
-                    dv = offsets[2 * (first + n) + 1]
-                    for p in range(size):
-                        d = disparity[p]
-                        place = place_of(p, d, du, dv, border, height, width)
-                        if place >= 0:
-                            rank = swapped(ti.bit_cast(d, ti.i32))
-                            fronts[n * room + place] = ti.max(fronts[n * room + place], rank)
-        else:
-            for i in range(count * size):
-                n = i // size
-                p = i - n * size
+        for task in range(count * tasks_of_view(size, cpu)):
+            n, start, end = share_of_view(task, size, cpu)
+            du = offsets[2 * (first + n)]
+            dv = offsets[2 * (first + n) + 1]
+            for p in range(start, end):
                 d = disparity[p]
-                place = place_of(p, d, offsets[2 * (first + n)], offsets[2 * (first + n) + 1], border, height, width)
+                place = place_of(p, d, du, dv, border, height, width)
                 if place >= 0:
-                    ti.atomic_max(fronts[n * room + place], swapped(ti.bit_cast(d, ti.i32)))
+                    rank = swapped(ti.bit_cast(d, ti.i32))
+                    if ti.static(cpu):
+                        fronts[n * room + place] = ti.max(fronts[n * room + place], rank)
+                    else:
+                        ti.atomic_max(fronts[n * room + place], rank)
         for i in range(count * size):
             n = i // size
             p = i - n * size

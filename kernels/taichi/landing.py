@@ -1,6 +1,8 @@
-"""Landing places of reference pixels in the views."""
+"""Landing places of reference pixels in the views, and the tent Λ of `kernels/reference/splat.py`."""
 
 import taichi as ti
+
+from .runtime import TASK
 
 
 @ti.dataclass
@@ -43,3 +45,45 @@ def nearest(whole: int, beyond: float):
 def within(whole: int, beyond: float, size: int):
     """True if whole + beyond lies in [0, size - 1]."""
     return whole >= 0 and (whole < size - 1 or (whole == size - 1 and beyond == 0.0))
+
+
+@ti.func
+def tasks_of_view(size: int, cpu: ti.template()):
+    """Count the iterations that share a view of `size` pixels: one for each; on a CPU `TASK`, of which one works."""
+    count = size
+    if ti.static(cpu):
+        count = TASK
+    return count
+
+
+@ti.func
+def share_of_view(task: int, size: int, cpu: ti.template()):
+    """(n, first, end): the view of an iteration, and its pixels: on a CPU, where atomics cost much, all or none."""
+    n = task // tasks_of_view(size, cpu)
+    first = task % tasks_of_view(size, cpu)
+    end = first + 1
+    if ti.static(cpu):
+        end = ti.select(first == 0, size, 0)
+    return n, first, end
+
+
+@ti.func
+def tent(a, softness):
+    """Λ(a) for a in [0, 1], as 1 minus the integral of -Λ': without branches, which random fractions mispredict."""
+    top = ti.min(a, softness)
+    foot = ti.max(a - (1.0 - softness), 0.0)
+    return 1.0 - (a - top + (top * top - foot * foot) * (0.5 / softness)) * (1.0 / (1.0 - softness))
+
+
+@ti.func
+def tent_slope(a, softness):
+    """Λ'(a) for a in [0, 1]."""
+    return -(1.0 / (1.0 - softness)) * ti.min(ti.min(a, 1.0 - a) * (1.0 / softness), 1.0)
+
+
+@ti.func
+def foot(b, softness):
+    """Λ(1 - b) for b in [0, 1], with all its digits where it is nearly 0."""
+    low = ti.min(b, softness)
+    top = ti.max(b - (1.0 - softness), 0.0)
+    return (b - low + (low * low - top * top) * (0.5 / softness)) * (1.0 / (1.0 - softness))

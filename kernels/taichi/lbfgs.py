@@ -249,42 +249,6 @@ def _recursion_kernel() -> Any:
             coefficients_out[r] = 0.0
         coefficients_out[coefficients_out.shape[0] - 1] = -1.0
 
-    @ti.func
-    def keep(totals: ti.template(), slots: int, slot: int, beginning: int, products: ti.template()):
-        """Write the new inner products into the matrix of all; when a solver begins, all pairs are forgotten."""
-        rows = 2 * slots + 1
-        for r in range(rows):
-            if beginning == 0:
-                for k in range(2):
-                    new = k * slots + slot
-                    products[r * rows + new] = totals[3 * r + k]
-                    products[new * rows + r] = totals[3 * r + k]
-            products[r * rows + rows - 1] = totals[3 * r + 2]
-            products[(rows - 1) * rows + r] = totals[3 * r + 2]
-
-    @ti.func
-    def two_loops(
-        slots: int,
-        newest: int,
-        pairs: int,
-        products: ti.template(),
-        alpha: ti.template(),
-        coefficients: ti.template(),
-    ):
-        rows = 2 * slots + 1
-        for k in range(pairs):
-            s = (newest - k + slots) % slots
-            alpha[s] = along(s, coefficients, products) / products[s * rows + slots + s]
-            coefficients[slots + s] = coefficients[slots + s] - alpha[s]
-        last = slots + newest
-        gamma = products[newest * rows + last] / products[last * rows + last]
-        for r in range(rows):
-            coefficients[r] = gamma * coefficients[r]
-        for k in range(pairs):
-            s = (newest - pairs + 1 + k + slots) % slots
-            beta = along(slots + s, coefficients, products) / products[s * rows + slots + s]
-            coefficients[s] = coefficients[s] + alpha[s] - beta
-
     @ti.kernel
     def recursion_kernel(
         totals: numbers,
@@ -302,7 +266,15 @@ def _recursion_kernel() -> Any:
         if state[_ACCEPTED] == 1.0:
             rows = 2 * slots + 1
             slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
-            keep(totals, slots, slot, beginning, products)
+            # The new inner products go into the matrix of all; when a solver begins, all pairs are forgotten.
+            for r in range(rows):
+                if beginning == 0:
+                    for k in range(2):
+                        new = k * slots + slot
+                        products[r * rows + new] = totals[3 * r + k]
+                        products[new * rows + r] = totals[3 * r + k]
+                products[r * rows + rows - 1] = totals[3 * r + 2]
+                products[(rows - 1) * rows + r] = totals[3 * r + 2]
             if beginning == 0:
                 s_s = products[slot * rows + slot]
                 s_y = products[slot * rows + slots + slot]
@@ -314,7 +286,19 @@ def _recursion_kernel() -> Any:
             slope = ti.cast(0.0, real)
             if state[_PAIRS] > 0.0:
                 newest = ti.cast(state[_NEWEST], ti.i32)
-                two_loops(slots, newest, ti.cast(state[_PAIRS], ti.i32), products, alpha, coefficients)
+                pairs = ti.cast(state[_PAIRS], ti.i32)
+                for k in range(pairs):
+                    s = (newest - k + slots) % slots
+                    alpha[s] = along(s, coefficients, products) / products[s * rows + slots + s]
+                    coefficients[slots + s] = coefficients[slots + s] - alpha[s]
+                last = slots + newest
+                gamma = products[newest * rows + last] / products[last * rows + last]
+                for r in range(rows):
+                    coefficients[r] = gamma * coefficients[r]
+                for k in range(pairs):
+                    s = (newest - pairs + 1 + k + slots) % slots
+                    beta = along(slots + s, coefficients, products) / products[s * rows + slots + s]
+                    coefficients[s] = coefficients[s] + alpha[s] - beta
                 slope = along(rows - 1, coefficients, products)
                 if not slope < 0.0:
                     state[_PAIRS] = 0.0

@@ -10,10 +10,9 @@ from types import SimpleNamespace
 
 import taichi as ti
 
-from .landing import land, within
+from .landing import foot, land, share_of_view, tasks_of_view, within
 from .memory import DeviceArray, clear, flat, scratch
-from .runtime import TASK, on_cpu, once, run
-from .tent import foot
+from .runtime import on_cpu, once, run
 
 _LEAST_WEIGHT = 1e-20
 _NOWHERE = -3e38  # the disparity of what is not there
@@ -37,30 +36,6 @@ def _z_kernels(cpu: bool) -> SimpleNamespace:
     """Compute the z-buffer and what is made of it alone."""
     field = flat()
 
-    @ti.func
-    def raise_near(
-        disparity: ti.template(),
-        offsets: ti.template(),
-        n: int,
-        p: int,
-        height: int,
-        width: int,
-        softness: float,
-        first: int,
-        nearest: ti.template(),
-    ):
-        d = disparity[p]
-        to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
-        columns = sides(to.ax, to.x, width, softness)
-        rows = sides(to.ay, to.y, height, softness)
-        for k in ti.static(range(4)):
-            if columns[k % 2] * rows[k // 2] > _LEAST_WEIGHT:
-                i = first + (to.y + k // 2) * width + to.x + k % 2
-                if ti.static(cpu):
-                    nearest[i] = ti.max(nearest[i], d)
-                else:
-                    ti.atomic_max(nearest[i], d)
-
     @ti.kernel
     def nearest_kernel(
         disparity: field,
@@ -70,23 +45,23 @@ def _z_kernels(cpu: bool) -> SimpleNamespace:
         width: int,
         nearest_out: field,
     ):
-        count = offsets.shape[0] // 2
         size = height * width
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    n = task // TASK
-                    first = n * size
-                    for p in range(size):
-                        nearest_out[first + p] = _NOWHERE
-                    for p in range(size):
-                        raise_near(disparity, offsets, n, p, height, width, softness, first, nearest_out)
-        else:
-            for i in range(count * size):
-                nearest_out[i] = _NOWHERE
-            for i in range(count * size):
-                n = i // size
-                raise_near(disparity, offsets, n, i - n * size, height, width, softness, n * size, nearest_out)
+        for i in range(nearest_out.shape[0]):
+            nearest_out[i] = _NOWHERE
+        for task in range(offsets.shape[0] // 2 * tasks_of_view(size, cpu)):
+            n, first, end = share_of_view(task, size, cpu)
+            for p in range(first, end):
+                d = disparity[p]
+                to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
+                columns = sides(to.ax, to.x, width, softness)
+                rows = sides(to.ay, to.y, height, softness)
+                for k in ti.static(range(4)):
+                    if columns[k % 2] * rows[k // 2] > _LEAST_WEIGHT:
+                        i = n * size + (to.y + k // 2) * width + to.x + k % 2
+                        if ti.static(cpu):
+                            nearest_out[i] = ti.max(nearest_out[i], d)
+                        else:
+                            ti.atomic_max(nearest_out[i], d)
 
     @ti.kernel
     def visible_kernel(
@@ -131,41 +106,6 @@ def _splat_kernels(channels: int, cpu: bool) -> SimpleNamespace:
     field, image_type, sums_type = flat(), flat(channels=channels), flat(channels=channels + 2)
     pixel, sums = ti.types.vector(channels, ti.f32), ti.types.vector(channels + 2, ti.f32)
 
-    @ti.func
-    def give(
-        image: ti.template(),
-        disparity: ti.template(),
-        offsets: ti.template(),
-        nearest: ti.template(),
-        n: int,
-        p: int,
-        height: int,
-        width: int,
-        softness: float,
-        sharpness: float,
-        first: int,
-        sums_out: ti.template(),
-    ):
-        d = disparity[p]
-        color = image[p]
-        to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
-        columns = sides(to.ax, to.x, width, softness)
-        rows = sides(to.ay, to.y, height, softness)
-        for k in ti.static(range(4)):
-            given = columns[k % 2] * rows[k // 2]
-            if given > _LEAST_WEIGHT:
-                i = first + (to.y + k // 2) * width + to.x + k % 2
-                weight = given * ti.exp(sharpness * (d - nearest[i]))
-                value = sums(0.0)
-                for c in ti.static(range(channels)):
-                    value[c] = weight * color[c]
-                value[channels] = weight
-                value[channels + 1] = given
-                if ti.static(cpu):
-                    sums_out[i] = sums_out[i] + value
-                else:
-                    ti.atomic_add(sums_out[i], value)
-
     @ti.kernel
     def sums_kernel(
         image: image_type,
@@ -179,44 +119,29 @@ def _splat_kernels(channels: int, cpu: bool) -> SimpleNamespace:
         sums_out: sums_type,
     ):
         """Add up what lands on each pixel; `sums_out` is 0 before."""
-        count = offsets.shape[0] // 2
         size = height * width
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    n = task // TASK
-                    for p in range(size):
-                        give(
-                            image,
-                            disparity,
-                            offsets,
-                            nearest,
-                            n,
-                            p,
-                            height,
-                            width,
-                            softness,
-                            sharpness,
-                            n * size,
-                            sums_out,
-                        )
-        else:
-            for i in range(count * size):
-                n = i // size
-                give(
-                    image,
-                    disparity,
-                    offsets,
-                    nearest,
-                    n,
-                    i - n * size,
-                    height,
-                    width,
-                    softness,
-                    sharpness,
-                    n * size,
-                    sums_out,
-                )
+        for task in range(offsets.shape[0] // 2 * tasks_of_view(size, cpu)):
+            n, first, end = share_of_view(task, size, cpu)
+            for p in range(first, end):
+                d = disparity[p]
+                color = image[p]
+                to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
+                columns = sides(to.ax, to.x, width, softness)
+                rows = sides(to.ay, to.y, height, softness)
+                for k in ti.static(range(4)):
+                    given = columns[k % 2] * rows[k // 2]
+                    if given > _LEAST_WEIGHT:
+                        i = n * size + (to.y + k // 2) * width + to.x + k % 2
+                        weight = given * ti.exp(sharpness * (d - nearest[i]))
+                        value = sums(0.0)
+                        for c in ti.static(range(channels)):
+                            value[c] = weight * color[c]
+                        value[channels] = weight
+                        value[channels + 1] = given
+                        if ti.static(cpu):
+                            sums_out[i] = sums_out[i] + value
+                        else:
+                            ti.atomic_add(sums_out[i], value)
 
     @ti.kernel
     def means_kernel(sums_in: sums_type, views_out: image_type, coverage_out: field):

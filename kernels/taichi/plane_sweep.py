@@ -120,16 +120,6 @@ def _difference_kernel(stored: Any, block: int) -> Any:
 def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: int) -> Any:
     """Compute `block` pixels that lie one after the other on each thread."""
 
-    @ti.func
-    def part_of(valid: ti.template(), surface: ti.template(), deepest: float, near: int):
-        """1 where the view takes part, else 0."""
-        part = 1.0
-        if ti.static(masked):
-            part = ti.select(valid[near] != 0.0, part, 0.0)
-        if ti.static(seen):
-            part = ti.select(surface[near] <= deepest, part, 0.0)
-        return part
-
     @ti.kernel
     def cost_kernel(
         differences: flat(),
@@ -198,7 +188,11 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: i
                     cost = rooted(ti.min(color / channels, truncation), softness)
                     if ti.static(sloped):
                         cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
-                    part = part_of(valid, nearest, deepest, to + x)
+                    part = 1.0
+                    if ti.static(masked):
+                        part = ti.select(valid[to + x] != 0.0, part, 0.0)
+                    if ti.static(seen):
+                        part = ti.select(nearest[to + x] <= deepest, part, 0.0)
                     if ti.static(seen):
                         sums_out[here + x] += part * cost
                         sums_out[size + here + x] += part

@@ -47,65 +47,6 @@ def penalties(
 
 @once
 def _cpu_kernel(channels: int) -> Any:
-    @ti.func
-    def advance(
-        volume: ti.template(),
-        image: ti.template(),
-        scale: ti.template(),
-        height: int,
-        width: int,
-        small: float,
-        large: float,
-        contrast: float,
-        dy: int,
-        dx: int,
-        adds: int,
-        path: int,
-        i: int,
-        costs: ti.template(),
-        leasts: ti.template(),
-        sums: ti.template(),
-    ):
-        """To pixel `i` of a path. `costs` [block, l, path] and `leasts` [path] are those of the path so far."""
-        size = height * width
-        count = volume.shape[0] // size
-        p, begins = pixel_of(path, i, dy, dx, height, width)
-        least = 0.0
-        one = 0.0
-        most = 0.0
-        if not begins:
-            least = leasts[path]
-            one, more = penalties(image, scale, p, p - dy * width - dx, small, large, contrast)
-            most = least + more
-        least_here = ti.math.inf
-        low = ti.math.inf
-        start = path // _BLOCK * (count * _BLOCK) + path % _BLOCK
-        for part in range((count + _SOME - 1) // _SOME):
-            first = part * _SOME
-            before = ti.Vector([0.0 for _ in range(_SOME + 1)])
-            cost = ti.Vector([0.0 for _ in range(_SOME)])
-            total = ti.Vector([0.0 for _ in range(_SOME)])
-            for k in ti.static(range(_SOME + 1)):
-                if first + k >= count:
-                    before[k] = ti.math.inf
-                elif not begins:
-                    before[k] = costs[start + (first + k) * _BLOCK]
-            for k in ti.static(range(_SOME)):
-                place = ti.min(first + k, count - 1) * size + p
-                cost[k] = volume[place]
-                if adds != 0:
-                    total[k] = sums[place]
-            for k in ti.static(range(_SOME)):
-                change = ti.min(ti.min(low, before[k + 1]) + one, most)
-                cost[k] += ti.min(before[k], change) - least
-                low = before[k]
-            for k in ti.static(range(_SOME)):
-                if first + k < count:
-                    least_here = ti.min(least_here, cost[k])
-                    costs[start + (first + k) * _BLOCK] = cost[k]
-                    sums[(first + k) * size + p] = total[k] + cost[k]
-        leasts[path] = least_here
-
     @ti.kernel
     def blocks_kernel(
         volume: flat(),
@@ -125,30 +66,53 @@ def _cpu_kernel(channels: int) -> Any:
         leasts: flat(),
         sums: flat(),
     ):
-        """Follow a block of paths on each thread of a CPU, pixel by pixel, as they lie side by side."""
+        """Follow a block of paths on each thread of a CPU, pixel by pixel, as they lie side by side.
+
+        `costs` [block, l, path] and `leasts` [path] are those of the paths so far.
+        """
+        size = height * width
+        count = volume.shape[0] // size
         for task in range((paths + _BLOCK - 1) // _BLOCK * TASK):
             if task % TASK == 0:
                 first = task // TASK * _BLOCK
                 for i in range(steps):
                     for path in range(first, ti.min(first + _BLOCK, paths)):
-                        advance(
-                            volume,
-                            image,
-                            scale,
-                            height,
-                            width,
-                            small,
-                            large,
-                            contrast,
-                            dy,
-                            dx,
-                            adds,
-                            path,
-                            i,
-                            costs,
-                            leasts,
-                            sums,
-                        )
+                        p, begins = pixel_of(path, i, dy, dx, height, width)
+                        least = 0.0
+                        one = 0.0
+                        most = 0.0
+                        if not begins:
+                            least = leasts[path]
+                            one, more = penalties(image, scale, p, p - dy * width - dx, small, large, contrast)
+                            most = least + more
+                        least_here = ti.math.inf
+                        low = ti.math.inf
+                        start = path // _BLOCK * (count * _BLOCK) + path % _BLOCK
+                        for part in range((count + _SOME - 1) // _SOME):
+                            label = part * _SOME
+                            before = ti.Vector([0.0 for _ in range(_SOME + 1)])
+                            cost = ti.Vector([0.0 for _ in range(_SOME)])
+                            total = ti.Vector([0.0 for _ in range(_SOME)])
+                            for k in ti.static(range(_SOME + 1)):
+                                if label + k >= count:
+                                    before[k] = ti.math.inf
+                                elif not begins:
+                                    before[k] = costs[start + (label + k) * _BLOCK]
+                            for k in ti.static(range(_SOME)):
+                                place = ti.min(label + k, count - 1) * size + p
+                                cost[k] = volume[place]
+                                if adds != 0:
+                                    total[k] = sums[place]
+                            for k in ti.static(range(_SOME)):
+                                change = ti.min(ti.min(low, before[k + 1]) + one, most)
+                                cost[k] += ti.min(before[k], change) - least
+                                low = before[k]
+                            for k in ti.static(range(_SOME)):
+                                if label + k < count:
+                                    least_here = ti.min(least_here, cost[k])
+                                    costs[start + (label + k) * _BLOCK] = cost[k]
+                                    sums[(label + k) * size + p] = total[k] + cost[k]
+                        leasts[path] = least_here
 
     return blocks_kernel
 

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from .landing import inside, land, nearest, within
+from .landing import inside, land, nearest, share_of_view, tasks_of_view, tent, tent_slope, within
 from .memory import DeviceArray, clear, empty, flat, numpy, optional
 from .runtime import TASK, double, on_cpu, once, run
 from .sums import BLOCK, PARTS, add_up, share, summing
-from .tent import tent, tent_slope
 
 _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
 
@@ -81,23 +80,6 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         give(views, first, to, height, width, left * wy, right * wy, left * (1.0 - wy), right * (1.0 - wy))
 
     @ti.func
-    def give_weight(
-        disparity: ti.template(),
-        offsets: ti.template(),
-        n: int,
-        p: int,
-        height: int,
-        width: int,
-        softness: float,
-        coverage: ti.template(),
-    ):
-        to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
-        wx = tent(to.ax, softness)
-        wy = tent(to.ay, softness)
-        first = n * height * width
-        give(coverage, first, to, height, width, wx * wy, (1 - wx) * wy, wx * (1 - wy), (1 - wx) * (1 - wy))
-
-    @ti.func
     def slope_of(
         value,
         d: float,
@@ -144,35 +126,25 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         width: int,
         views_out: image_type,
     ):
-        count = offsets.shape[0] // 2
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    n = task // TASK
-                    for p in range(height * width):
-                        give_color(
-                            image, disparity, offsets, n, p, height, width, softness, n * height * width, views_out
-                        )
-        else:
-            for i in range(count * height * width):
-                n = i // (height * width)
-                first = n * height * width
-                give_color(image, disparity, offsets, n, i - first, height, width, softness, first, views_out)
+        size = height * width
+        for task in range(offsets.shape[0] // 2 * tasks_of_view(size, cpu)):
+            n, first, end = share_of_view(task, size, cpu)
+            for p in range(first, end):
+                give_color(image, disparity, offsets, n, p, height, width, softness, n * size, views_out)
 
     @ti.kernel
     def coverage_kernel(
         disparity: field, offsets: field, softness: float, height: int, width: int, coverage_out: field
     ):
-        count = offsets.shape[0] // 2
-        if ti.static(cpu):
-            for task in range(count * TASK):
-                if task % TASK == 0:
-                    for p in range(height * width):
-                        give_weight(disparity, offsets, task // TASK, p, height, width, softness, coverage_out)
-        else:
-            for i in range(count * height * width):
-                n = i // (height * width)
-                give_weight(disparity, offsets, n, i - n * height * width, height, width, softness, coverage_out)
+        size = height * width
+        for task in range(offsets.shape[0] // 2 * tasks_of_view(size, cpu)):
+            n, first, end = share_of_view(task, size, cpu)
+            for p in range(first, end):
+                to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
+                wx = tent(to.ax, softness)
+                wy = tent(to.ay, softness)
+                a, b, c, d = wx * wy, (1 - wx) * wy, wx * (1 - wy), (1 - wx) * (1 - wy)
+                give(coverage_out, n * size, to, height, width, a, b, c, d)
 
     @ti.kernel
     def vjp_kernel(
