@@ -22,7 +22,7 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable
 from lfgpu.io.ply import write_vertices
-from lfgpu.io.png import write_png
+from lfgpu.io.png import quantised, write_png
 
 POINTS = 200_000
 """Largest number of points that are written, about."""
@@ -149,10 +149,8 @@ def _points(lf: LightField, maps: dict[int, DisparityMap]) -> tuple[Float32Array
     return np.concatenate(points), np.concatenate(colors)
 
 
-def _bytes(lf: LightField, index: int) -> NDArray[np.uint8]:
-    """Convert a view to uint8 [y, x, c]."""
-    view = lf.views[index]
-    return view if view.dtype == np.uint8 else np.rint(255 * np.clip(lf.image(index), 0, 1)).astype(np.uint8)
+def _bytes(lf: LightField, index: int) -> NDArray[Any]:
+    return lf.views[index] if lf.views.dtype == np.uint8 else quantised(lf.image(index), np.uint8)
 
 
 def _unit(maps: dict[int, DisparityMap]) -> tuple[float, tuple[str, ...]]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.calibration.cameras import Camera
+from lfgpu.calibration.formats.entries import camera_of
 from lfgpu.calibration.refine import Refinement
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig
@@ -40,7 +40,7 @@ def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
     Examples
     --------
     >>> rectified = lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml")
-    >>> notes = lfgpu.calibration.write_rectified(rectified, "rectified")
+    >>> lfgpu.calibration.write_rectified(rectified, "rectified")
     >>> type(lfgpu.calibration.read_rectifier("rectified")).__name__
     'Rectifier'
     """
@@ -136,22 +136,11 @@ def _made(lf: LightField, rig: Rig | None, homographies: Float64Array, tones: To
 
 
 def _rig_of(values: dict[str, Any], size: tuple[int, int], path: Path) -> Rig:
-    cameras = []
-    for n, (matrix, lens, model) in enumerate(
-        zip(values["matrices"], values["distortions"], values["models"], strict=True)
-    ):
-        cameras.append(
-            Camera(
-                size=size,
-                focal_length=(float(matrix[0, 0]), float(matrix[1, 1])),
-                principal_point=(float(matrix[0, 2]), float(matrix[1, 2])),
-                distortion=tuple(map(float, lens[:4] if model == "fisheye" else lens)) if lens.any() else (),
-                model=str(model),
-                rotation=values["rotations"][n],
-                translation=values["translations"][n],
-                name=f"{path.name}: camera {n}",
-            )
-        )
+    kinds = ("matrices", "distortions", "rotations", "translations", "models")
+    cameras = [
+        camera_of(matrix, lens, turn, shift, np.array(size[::-1]), model == "fisheye", f"{path.name}: camera {n}")
+        for n, (matrix, lens, turn, shift, model) in enumerate(zip(*(values[kind] for kind in kinds), strict=True))
+    ]
     focal, baseline, focus, x, y = map(float, values["geometry"])
     geometry = Geometry(focal, baseline, focus, principal_point=(x, y), unshifted_at=(0.0, 0.0))
     return Rig(

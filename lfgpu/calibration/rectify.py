@@ -22,6 +22,7 @@ from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.png import write_png
+from lfgpu.io.taken import plausible
 from lfgpu.io.views import load_pictures
 from lfgpu.pipelines.rectifier import Rectifier
 
@@ -166,7 +167,7 @@ def rectify(
         depths = depths or calibration.depths
         rig = fit_rig(cameras, depths=depths, reference=reference)
         disparity_range = disparity_range or _range(rig, depths)
-        if unit is None and not _NARROWEST <= rig.geometry.baseline_m <= _WIDEST:
+        if unit is None and not plausible(rig.geometry):
             pictures = replace(pictures, notes=(*pictures.notes, _doubt(rig.geometry.baseline_m)))
         lf = _with_truth(rig.light_field(pictures), pictures, rig)
     elif not model and not tones:
@@ -182,7 +183,7 @@ def rectify(
     return Rectified(found.light_field, rig, found, disparity_range)
 
 
-def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[str, ...]:
+def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
     """Write a rectified light field as a folder that `lfgpu.read` reads: views, masks, lightfield.toml.
 
     The numbers to go back to the original pictures are in rectified.npz: `homographies` [n, 3, 3] from pixels that are
@@ -193,7 +194,7 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[
     Examples
     --------
     >>> rectified = lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml")
-    >>> notes = lfgpu.calibration.write_rectified(rectified, "rectified")
+    >>> lfgpu.calibration.write_rectified(rectified, "rectified")
     >>> lfgpu.read("rectified").size
     (64, 80)
     """
@@ -203,19 +204,13 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> tuple[
         files = []
         for n in range(len(lf.views)):
             file = place / f"view_{n:03d}.png"
-            view = lf.views[n]
-            if view.dtype == np.float32:
-                view = np.rint(np.clip(view, 0, 1) * 65535).astype(np.uint16)
-            write_png(file, view)
+            write_png(file, lf.views[n])
             files.append(str(file))
-        left_out = write_description(replace(lf, files=tuple(files)), place / "lightfield.toml", source={})
+        write_description(replace(lf, files=tuple(files)), place / "lightfield.toml", source={})
         np.savez_compressed(place / NUMBERS, **numbers(lf, result.rig, result.refinement))  # type: ignore[arg-type]
-    return left_out
 
 
 # --- steps ---
-
-_NARROWEST, _WIDEST = 1e-5, 2.0  # metres between neighbouring cameras; others are probably of another unit
 
 
 def _doubt(baseline: float) -> str:

@@ -183,9 +183,7 @@ class _Search:
         lf = self._lf
         factor = max(1, max(lf.size) // coarseness)
         small = self._now(factor)
-        bounds = self._bounds(factor)
-        map_ = self._map(small, bounds).disparity
-        disparity = _enlarged(map_, factor, lf.size)
+        disparity = _enlarged(self._map(small, factor).disparity, factor, lf.size)
         columns = self.warps.shape[1] + 4
         moved = replace(lf, positions=lf.positions + self.shifted, grid_shape=None, truth=None)
         most = min(_POINTS if coarseness == _COARSE else 2 * _POINTS, most_points(len(lf.views), columns))
@@ -239,7 +237,8 @@ class _Search:
         )  # fmt: skip
         if not geometric and tonal < _AUDIBLE:
             return found
-        before, after = self._score(None), self._score(self._now(max(1, max(lf.size) // _MIDDLE)))
+        factor = max(1, max(lf.size) // _MIDDLE)
+        before, after = (self._score(small, factor) for small in (self._small(factor), self._now(factor)))
         if not after >= before - _NOT_WORSE:
             return replace(
                 found,
@@ -283,10 +282,13 @@ class _Search:
 
     def _now(self, factor: int) -> LightField:
         """Make the light field as it would be now, shrunk by `factor`."""
-        lf = self._lf
-        small = lf.downsampled(factor) if factor > 1 else replace(lf, geometry=None, truth=None, files=())
+        small = self._small(factor)
         views, valid = self._resampled(small, homographies(self.warps, small.size))
-        return replace(small, views=views, valid=valid, positions=lf.positions + self.shifted, grid_shape=None)
+        return replace(small, views=views, valid=valid, positions=self._lf.positions + self.shifted, grid_shape=None)
+
+    def _small(self, factor: int) -> LightField:
+        lf = self._lf
+        return lf.downsampled(factor) if factor > 1 else replace(lf, geometry=None, truth=None, files=())
 
     def _resampled(self, lf: LightField, back: Float64Array | None) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
         """Look up the views of a light field through homographies (None: not moved) and equalise them; also masks."""
@@ -298,30 +300,21 @@ class _Search:
 
         return resampled(lf, places, self.tones.equalised)
 
-    def _map(self, lf: LightField, bounds: tuple[float, float] | None) -> DepthResult:
-        """Estimate a map of a shrunk light field."""
+    def _map(self, small: LightField, factor: int) -> DepthResult:
+        """Estimate a map of a light field that was shrunk by `factor`."""
         return estimate_depth(
-            lf,
+            small,
             config="fast",
-            disparity_range=bounds,
+            disparity_range=None if self._range is None else (self._range[0] / factor, self._range[1] / factor),
             backend=backend_named(self._device.kernels.name),
             device=self._device.name,
             check_cameras=False,
         )
 
-    def _bounds(self, factor: int) -> tuple[float, float] | None:
-        """Scale the range of disparities that was given to views shrunk by `factor`."""
-        return None if self._range is None else (self._range[0] / factor, self._range[1] / factor)
-
-    def _score(self, now: LightField | None) -> float:
-        """Predict a light field, or the given one, from a coarse map of its own; returns the PSNR."""
-        if now is None:
-            factor = max(1, max(self._lf.size) // _MIDDLE)
-            now = self._lf.downsampled(factor) if factor > 1 else self._lf
-        options: dict[str, Any] = {"backend": self._device.kernels.name, "device": self._device.name}
-        bounds = self._bounds(max(1, max(self._lf.size) // _MIDDLE))
-        map_ = self._map(now, bounds)
-        return explain(now, map_, **options).mean_psnr
+    def _score(self, small: LightField, factor: int) -> float:
+        """Predict a light field that was shrunk by `factor` from a coarse map of its own; returns the PSNR."""
+        backend = backend_named(self._device.kernels.name)
+        return explain(small, self._map(small, factor), backend=backend, device=self._device.name).mean_psnr
 
 
 def _by_moments(lf: LightField) -> Tones:

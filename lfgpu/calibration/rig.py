@@ -15,7 +15,7 @@ import numpy as np
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.resample import pixels, resampled, through
 from lfgpu.contract import Float32Array, Float64Array
-from lfgpu.data.geometry import Geometry
+from lfgpu.data.geometry import Geometry, usual_gap
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
@@ -151,7 +151,7 @@ def fit_rig(
             f"the cameras do not stand in a plane: they are {off:.3g} off it (rms) and {extent:.3g} apart in it; a "
             "light field needs cameras side by side."
         )
-    baseline = _step(local[:, :2])
+    baseline = usual_gap(local[:, :2])
     if not baseline > _SAME * extent:
         raise LightFieldError("half of the cameras stand where others do; give each place once.")
     positions = local[:, :2] / baseline
@@ -278,13 +278,6 @@ def _axes(centres: Float64Array, forward: Float64Array, right: Float64Array) -> 
         raise LightFieldError("the cameras are turned against each other; their pictures have no common right side.")
     x = x / np.linalg.norm(x)
     return np.stack([x, np.cross(z, x), z])
-
-
-def _step(places: Float64Array) -> float:
-    """Measure the median distance of the cameras from their nearest neighbours."""
-    gaps = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
-    np.fill_diagonal(gaps, np.inf)
-    return float(np.median(gaps.min(1)))
 
 
 def _frames(

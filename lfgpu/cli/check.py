@@ -120,7 +120,7 @@ def _write(
 
     from lfgpu.cameras import residual_pictures
     from lfgpu.io import atomic_folder, write_pfm
-    from lfgpu.io.png import write_png
+    from lfgpu.io.png import quantised, write_png
 
     with atomic_folder(out) as folder:
         (folder / CHECK_FILE).write_text(json.dumps(found.as_dict(), indent=1), encoding="utf-8")
@@ -130,10 +130,8 @@ def _write(
         for index, picture in pictures:
             # Grey is explained, brighter and darker are what the view shows more or less of, four times enlarged.
             levels = np.where(np.isfinite(picture), np.clip(0.5 + 4 * picture, 0, 1), 0.5)
-            write_png(
-                folder / "residuals" / f"view_{index:03d}.png",
-                np.rint(levels.mean(2, keepdims=True) * 255).astype(np.uint8),
-            )
+            picture = quantised(levels.mean(2, keepdims=True), np.uint8)
+            write_png(folder / "residuals" / f"view_{index:03d}.png", picture)
     return [
         (CHECK_FILE, "all numbers of all views"),
         ("unexplained.pfm", "float32 map of the reference: rms difference over the views that see a pixel"),

@@ -44,9 +44,8 @@ def info(
     with waiting(f"reading {source.name}"):
         lf = read(source, **{**options, "format": name}, allow_missing=True)
         doubts, remarks = views_alone(lf, open_device(DEFAULT, "cpu"))
-    left_out: tuple[str, ...] = ()
     if write is not None:
-        left_out = write_description(lf, write, source={"path": source, **options, "format": name})
+        write_description(lf, write, source={"path": source, **options, "format": name})
     heading(console, lf.name)
     lines(
         console,
@@ -57,6 +56,5 @@ def info(
             *(("note", note) for note in (*lf.notes, *doubts)),
             *(("cameras", sentence) for sentence in remarks),
             *((("written", str(write)),) if write is not None else ()),
-            *(("left out", sentence) for sentence in left_out),
         ],
     )

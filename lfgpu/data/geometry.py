@@ -153,6 +153,13 @@ class Geometry:
         return position[0] - self.unshifted_at[0], position[1] - self.unshifted_at[1]
 
 
+def usual_gap(places: NDArray[np.float64]) -> float:
+    """Measure the median distance of places [n, 2] from their nearest neighbours."""
+    apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    np.fill_diagonal(apart, np.inf)
+    return float(np.median(apart.min(axis=1)))
+
+
 def _pairs(name: str, values: ArrayLike) -> NDArray[np.float64]:
     pairs = np.asarray(values, np.float64)
     if pairs.ndim != 2 or pairs.shape[1] != 2:

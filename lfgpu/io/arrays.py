@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax
+from lfgpu.io.damage import naming
 from lfgpu.io.images import FLOAT64_ROUNDED, opaque
 
 ASK_FOR_GRID = "say how they stand: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line"
@@ -236,11 +237,9 @@ def field_of(
 ) -> LightField:
     """Make a light field of views [n, y, x, c] at positions `where`, its errors with the name of the file."""
     fields.setdefault("name", path.resolve().stem)
-    try:
+    with naming(path):
         light_field = LightField(views, where, valid=valid, **fields)
         return light_field if valid is None else without_dark_views(light_field)
-    except LightFieldError as error:
-        raise LightFieldError(f"{path}: {error}") from error
 
 
 def without_dark_views(light_field: LightField) -> LightField:

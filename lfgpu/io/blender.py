@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import naming
 from lfgpu.io.exr import channel, read_channels
 from lfgpu.io.texts import Members, read_json_or_toml
 from lfgpu.io.views import load_views
@@ -82,7 +83,7 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
     gridded = whole_steps and math.prod(shape) <= 4 * len(there)
     if gridded:
         positions = np.rint(positions)
-    try:
+    with naming(file):
         light_field = LightField(
             views,
             positions,
@@ -94,8 +95,6 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
             name=file.resolve().parent.name,
             notes=(*notes, *more, f"One view step is {step:.6g} m, the distance of neighbouring cameras."),
         )
-    except LightFieldError as error:
-        raise LightFieldError(f"{file}: {error}") from error
     if depth is None:
         return light_field
     u, v = light_field.positions[light_field.reference_index]

@@ -33,6 +33,15 @@ def read_as(path: Path, kind: str = "") -> Iterator[None]:
         raise LightFieldError(f"{path} cannot be read as {kind}: {reason_of(error)}.") from error
 
 
+@contextmanager
+def naming(where: Path | str) -> Iterator[None]:
+    """Put a file, or a part of one, before the sentence of a LightFieldError of the block."""
+    try:
+        yield
+    except LightFieldError as error:
+        raise LightFieldError(f"{where}: {error}") from error
+
+
 def reason_of(error: Exception) -> str:
     """Return the reason of an error on one line, without a full stop."""
     said = getattr(error, "strerror", None) or str(error)

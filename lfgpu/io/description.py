@@ -7,6 +7,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,8 @@ from numpy.typing import NDArray
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io.arrays import field_of
 from lfgpu.io.atomic import atomic_write, check_writable
-from lfgpu.io.damage import read_as
+from lfgpu.io.damage import naming, read_as
 from lfgpu.io.images import check_size, read_mask
 from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
@@ -62,25 +62,23 @@ def read_description(
     on to it. Errors name the entry of the description that is unknown or wrong.
     """
     file = path / DEFAULT_NAME if path.is_dir() else path
-    table = _table(file, _parsed(file), "", _KEYS[""])
-    source = table.get("source")
-    listed = _listed_views(file, table.get("views"))
-    if source is not None:
-        light_field = _of_source(file, _table(file, source, "source", _KEYS["source"]), listed, allow_missing, read)
-    else:
-        light_field = _of_files(file, listed)
-    return _with_rest(file, table, light_field)
+    parsed = _parsed(file)
+    with naming(file):
+        table = _table(parsed, "")
+        listed = _listed_views(table.get("views"))
+        if (source := table.get("source")) is not None:
+            light_field = _of_source(file, _table(source, "source"), listed, allow_missing, read)
+        else:
+            light_field = _of_files(file, listed)
+        return replace(light_field, **_rest(file, table))
 
 
-def write_description(
-    light_field: LightField, path: str | os.PathLike[str], *, source: Mapping[str, Any]
-) -> tuple[str, ...]:
+def write_description(light_field: LightField, path: str | os.PathLike[str], *, source: Mapping[str, Any]) -> None:
     """Write the description of a light field that was read from files, for `read_description` to read back.
 
     Views with files of their own are named one by one. Otherwise the description names the `source`, `path`, `format`
     and what else `lfgpu.read` was told, which is read again, and the positions of its views. Ground truth goes into
-    files beside it: NAME.truth.pfm, NAME.mask.png; so does the validity of views: NAME.valid_000.png and so on. Returns
-    sentences about what could not be held.
+    files beside it: NAME.truth.pfm, NAME.mask.png; so does the validity of views: NAME.valid_000.png and so on.
     """
     target = Path(path)
     if target.suffix.lower() not in (".toml", ".json"):
@@ -90,7 +88,6 @@ def write_description(
     table: dict[str, Any] = {"name": light_field.name, "reference": light_field.reference_index}
     if light_field.grid_shape is not None:
         table["grid"] = list(light_field.grid_shape)
-    left_out: list[str] = []
     if light_field.geometry is not None:
         table["geometry"] = _geometry_table(light_field.geometry)
     places = [[float(u), float(v)] for u, v in light_field.positions]
@@ -118,7 +115,6 @@ def write_description(
         raise LightFieldError(f"{target} cannot be written: a file has a name that is not UTF-8; rename it.") from error
     with atomic_write(target) as temporary:
         temporary.write_bytes(content)
-    return tuple(left_out)
 
 
 # --- reading ---
@@ -131,35 +127,29 @@ def _parsed(file: Path) -> Any:
     return read_json_or_toml(file)
 
 
-def _listed_views(file: Path, views: Any) -> list[Mapping[str, Any]]:
+def _listed_views(views: Any) -> list[Mapping[str, Any]]:
     if views is None:
         return []
     if not isinstance(views, list):
-        raise LightFieldError(f"{file}: views must be a list, one [[views]] for each.")
-    return [_table(file, view, f"views[{index}]", _KEYS["views"]) for index, view in enumerate(views)]
+        raise LightFieldError("views must be a list, one [[views]] for each.")
+    return [_table(view, "views", f"views[{index}]") for index, view in enumerate(views)]
 
 
 def _of_files(file: Path, listed: list[Mapping[str, Any]]) -> LightField:
     if len(listed) < 2:
-        raise LightFieldError(
-            f"{file} lists {len(listed)} views; depth needs at least two, each with file and position."
-        )
+        raise LightFieldError(f"it lists {len(listed)} views; depth needs at least two, each with file and position.")
     images = [_file(file, view, f"views[{index}]", "file") for index, view in enumerate(listed)]
-    where = _positions(file, listed)
+    where = _positions(listed)
     views, valid, notes = load_views(images)
     if any("valid" in view for view in listed):
         valid = np.ones(views.shape[:3], np.bool_) if valid is None else valid
         for index, view in enumerate(listed):
-            if "valid" not in view:
-                continue
-            mask = read_mask(_file(file, view, f"views[{index}]", "valid"))
-            check_size(_file(file, view, f"views[{index}]", "valid"), mask, views.shape[1:3])
-            valid[index] &= mask
-    return (
-        field_of(file, views, where, files=tuple(map(str, images)), notes=notes)
-        if valid is None
-        else replace(field_of(file, views, where, files=tuple(map(str, images)), notes=notes), valid=valid)
-    )
+            if "valid" in view:
+                name = _file(file, view, f"views[{index}]", "valid")
+                mask = read_mask(name)
+                check_size(name, mask, views.shape[1:3])
+                valid[index] &= mask
+    return LightField(views, where, valid=valid, files=tuple(map(str, images)), notes=notes)
 
 
 def _of_source(
@@ -172,92 +162,78 @@ def _of_source(
     path = source.get("path")
     chosen = source.get("format")
     if read is None or not isinstance(path, str) or not isinstance(chosen, str) or chosen == "lightfield-toml":
-        raise LightFieldError(f"{file}: source must name a path and its format, one that `lfgpu.read` knows.")
+        raise LightFieldError("source must name a path and its format, one that `lfgpu.read` knows.")
     options = {name: value for name, value in source.items() if name in _TOLD}
     if "grid" in source:
-        options["grid"] = _pair(file, source["grid"], "source.grid", whole=True)
-    try:
-        light_field = read(_beside(file, path), format=chosen, allow_missing=allow_missing, **options)
-    except LightFieldError as error:
-        raise LightFieldError(f"{file}: source: {error}") from error
+        options["grid"] = _pair(source["grid"], "source.grid", whole=True)
+    with naming("source"):
+        light_field = read(file.parent / path, format=chosen, allow_missing=allow_missing, **options)
     if not listed:
         return light_field
     if len(listed) != len(light_field.views):
-        raise LightFieldError(f"{file} lists {len(listed)} views, {path} has {len(light_field.views)}.")
+        raise LightFieldError(f"it lists {len(listed)} views, {path} has {len(light_field.views)}.")
     if any(set(view) != {"position"} for view in listed):
-        raise LightFieldError(f"{file}: beside a source, views have a position and nothing else.")
-    try:
-        where = _positions(file, listed)
-        truth = light_field.truth
-        if truth is not None:
-            index = light_field.index_of(truth.position[1], truth.position[0])
-            truth = replace(truth, position=(float(where[index, 0]), float(where[index, 1])))
-        return replace(light_field, positions=where, grid_shape=None, truth=truth)
-    except LightFieldError as error:
-        raise LightFieldError(f"{file}: {error}") from error
+        raise LightFieldError("beside a source, views have a position and nothing else.")
+    where = _positions(listed)
+    truth = light_field.truth
+    if truth is not None:
+        index = light_field.index_of(truth.position[1], truth.position[0])
+        truth = replace(truth, position=(float(where[index, 0]), float(where[index, 1])))
+    return replace(light_field, positions=where, grid_shape=None, truth=truth)
 
 
-def _with_rest(file: Path, table: Mapping[str, Any], light_field: LightField) -> LightField:
-    """Add what the description says of the whole."""
+def _rest(file: Path, table: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of the light field that the description gives for the whole."""
     fields: dict[str, Any] = {}
-    if "name" in table:
-        if not isinstance(table["name"], str):
-            raise LightFieldError(f"{file}: name must be a text, not {table['name']!r}.")
-        fields["name"] = table["name"]
-    else:
-        fields["name"] = file.resolve().parent.name if file.name == DEFAULT_NAME else file.stem
+    fields["name"] = table.get("name", file.resolve().parent.name if file.name == DEFAULT_NAME else file.stem)
+    if not isinstance(fields["name"], str):
+        raise LightFieldError(f"name must be a text, not {fields['name']!r}.")
     if "grid" in table:
-        fields["grid_shape"] = _pair(file, table["grid"], "grid", whole=True)
+        fields["grid_shape"] = _pair(table["grid"], "grid", whole=True)
     if "reference" in table:
-        fields["reference"] = _whole(file, table["reference"], "reference", least=0)
+        fields["reference"] = _whole(table["reference"], "reference", least=0)
     if "geometry" in table:
-        fields["geometry"] = _geometry(file, _table(file, table["geometry"], "geometry", _KEYS["geometry"]))
+        fields["geometry"] = _geometry(_table(table["geometry"], "geometry"))
     if "truth" in table:
-        fields["truth"] = _truth(file, _table(file, table["truth"], "truth", _KEYS["truth"]))
-    try:
-        return replace(light_field, **fields)
-    except LightFieldError as error:
-        raise LightFieldError(f"{file}: {error}") from error
+        fields["truth"] = _truth(file, _table(table["truth"], "truth"))
+    return fields
 
 
-def _geometry(file: Path, table: Mapping[str, Any]) -> Geometry:
-    fields: dict[str, Any] = {
-        key: (_pair if key in _PLACES else _number)(file, table[key], f"geometry.{key}") for key in table
-    }
+def _geometry(table: Mapping[str, Any]) -> Geometry:
     for key in ("focal_length_px", "baseline_m"):
-        if key not in fields:
-            raise LightFieldError(f"{file}: geometry has no {key}; add it or leave geometry out.")
-    try:
-        return Geometry(**fields)
-    except LightFieldError as error:
-        raise LightFieldError(f"{file}: {error}") from error
+        if key not in table:
+            raise LightFieldError(f"geometry has no {key}; add it or leave geometry out.")
+    fields: dict[str, Any] = {
+        key: (_pair if key in _PLACES else _number)(value, f"geometry.{key}") for key, value in table.items()
+    }
+    return Geometry(**fields)
 
 
 def _truth(file: Path, table: Mapping[str, Any]) -> GroundTruth:
     if "disparity" not in table or "position" not in table:
-        raise LightFieldError(f"{file}: truth must have a file of disparity and the position of its view.")
+        raise LightFieldError("truth must have a file of disparity and the position of its view.")
     disparity = read_map(_file(file, table, "truth", "disparity"))
     mask = read_mask(_file(file, table, "truth", "mask")) if "mask" in table else None
-    u, v = _pair(file, table["position"], "truth.position")
-    return GroundTruth(np.where(np.isfinite(disparity), disparity, np.float32(np.nan)), (u, v), mask)
+    position = _pair(table["position"], "truth.position")
+    return GroundTruth(np.where(np.isfinite(disparity), disparity, np.float32(np.nan)), position, mask)
 
 
-def _positions(file: Path, listed: list[Mapping[str, Any]]) -> NDArray[np.float64]:
-    missing = next((index for index, view in enumerate(listed) if "position" not in view), None)
-    if missing is not None:
-        raise LightFieldError(f"{file}: views[{missing}] has no position = [u, v].")
-    pairs = [_pair(file, view["position"], f"views[{index}].position") for index, view in enumerate(listed)]
+def _positions(listed: list[Mapping[str, Any]]) -> NDArray[np.float64]:
+    for index, view in enumerate(listed):
+        if "position" not in view:
+            raise LightFieldError(f"views[{index}] has no position = [u, v].")
+    pairs = [_pair(view["position"], f"views[{index}].position") for index, view in enumerate(listed)]
     return np.array(pairs, np.float64)
 
 
-def _table(file: Path, value: Any, name: str, known: set[str]) -> Mapping[str, Any]:
-    what = name or "a description"
+def _table(value: Any, kind: str, name: str = "") -> Mapping[str, Any]:
+    what, known = name or kind or "a description", ", ".join(sorted(_KEYS[kind]))
     if not isinstance(value, dict):
-        raise LightFieldError(f"{file}: {what} must be a table of {', '.join(sorted(known))}.")
-    if unknown := sorted(set(value) - known):
-        calibration = not name and not {"frames", "cameras", "cameraData"}.isdisjoint(unknown)
+        raise LightFieldError(f"{what} must be a table of {known}.")
+    if unknown := sorted(set(value) - _KEYS[kind]):
+        calibration = not kind and not {"frames", "cameras", "cameraData"}.isdisjoint(unknown)
         raise LightFieldError(
-            f"{file}: {what} has an unknown entry {_shown(unknown[0])}; known are {', '.join(sorted(known))}."
+            f"{what} has an unknown entry {_shown(unknown[0])}; known are {known}."
             + " It looks like a calibration, which lfgpu rectify takes (--calibration)." * calibration
         )
     return value
@@ -265,28 +241,21 @@ def _table(file: Path, value: Any, name: str, known: set[str]) -> Mapping[str, A
 
 def _file(file: Path, table: Mapping[str, Any], name: str, key: str) -> Path:
     if not isinstance(table.get(key), str) or not table[key]:
-        raise LightFieldError(f"{file}: {name} has no {key}, the name of a file.")
-    found = _beside(file, table[key])
-    try:
-        there = found.is_file()
-    except (OSError, ValueError):  # too long a name, a zero byte
-        there = False
-    if not there:
-        raise LightFieldError(f"{file}: {name}.{key} names {found}, which is not a file.")
-    return found
+        raise LightFieldError(f"{name} has no {key}, the name of a file.")
+    found = file.parent / table[key]
+    with suppress(OSError, ValueError):  # too long a name, a zero byte
+        if found.is_file():
+            return found
+    raise LightFieldError(f"{name}.{key} names {found}, which is not a file.")
 
 
-def _beside(file: Path, name: str) -> Path:
-    return file.parent / name
-
-
-def _number(file: Path, value: Any, name: str) -> float:
+def _number(value: Any, name: str) -> float:
     try:
         if not isinstance(value, bool) and isinstance(value, int | float) and not math.isnan(value):
             return float(value)
     except OverflowError:
-        raise LightFieldError(f"{file}: {name} is too large a number.") from None
-    raise LightFieldError(f"{file}: {name} must be a number, not {_shown(value)}.")
+        raise LightFieldError(f"{name} is too large a number.") from None
+    raise LightFieldError(f"{name} must be a number, not {_shown(value)}.")
 
 
 def _shown(value: Any) -> str:
@@ -296,18 +265,17 @@ def _shown(value: Any) -> str:
         return "a number of thousands of digits"
 
 
-def _whole(file: Path, value: Any, name: str, least: int = 1) -> int:
+def _whole(value: Any, name: str, least: int = 1) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or not least <= value <= 10**6:
-        raise LightFieldError(f"{file}: {name} must be a whole number from {least} to 1000000, not {_shown(value)}.")
+        raise LightFieldError(f"{name} must be a whole number from {least} to 1000000, not {_shown(value)}.")
     return value
 
 
-def _pair(file: Path, value: Any, name: str, *, whole: bool = False) -> tuple[Any, Any]:
+def _pair(value: Any, name: str, *, whole: bool = False) -> tuple[Any, Any]:
     if not isinstance(value, list) or len(value) != 2:
-        raise LightFieldError(f"{file}: {name} must be a pair of numbers, not {_shown(value)}.")
-    if whole:
-        return _whole(file, value[0], name), _whole(file, value[1], name)
-    return _number(file, value[0], name), _number(file, value[1], name)
+        raise LightFieldError(f"{name} must be a pair of numbers, not {_shown(value)}.")
+    part = _whole if whole else _number
+    return part(value[0], name), part(value[1], name)
 
 
 # --- writing ---
@@ -336,7 +304,7 @@ def _write_truth(truth: GroundTruth, target: Path) -> dict[str, Any]:
 
 def _write_mask(mask: NDArray[np.bool_], target: Path) -> str:
     with atomic_write(target) as temporary:
-        write_png(temporary, mask[..., None].astype(np.uint8) * np.uint8(255))
+        write_png(temporary, mask[..., None])
     return target.name
 
 

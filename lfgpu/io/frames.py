@@ -14,7 +14,7 @@ from lfgpu.contract import Float32Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, atomic_write
 from lfgpu.io.damage import how_to_install
-from lfgpu.io.png import write_png
+from lfgpu.io.png import quantised, write_png
 
 _FPS = 15.0
 _QUALITY = 8  # of 10
@@ -26,7 +26,7 @@ def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any
     check_image_path(path)
     with atomic_write(path) as temporary:
         if path.suffix.lower() == ".png":
-            write_png(temporary, _stored(image, dtype))
+            write_png(temporary, quantised(image, dtype))
         else:
             import tifffile
 
@@ -62,7 +62,7 @@ def write_frames(
         return
     with atomic_folder(path) as folder:
         for index, frame in enumerate(frames):
-            write_png(folder / f"frame_{index:03d}.png", _stored(frame, dtype))
+            write_png(folder / f"frame_{index:03d}.png", quantised(frame, dtype))
 
 
 def check_frames_path(path: str | os.PathLike[str]) -> None:
@@ -122,13 +122,8 @@ def _is_whole(path: Path) -> bool:
 _FILMS: dict[str, Callable[[Iterable[Float32Array], Path, float], None]] = {".gif": _write_gif, ".mp4": _write_mp4}
 
 
-def _stored(image: Float32Array, dtype: Any) -> NDArray[Any]:
-    most = np.iinfo(dtype).max
-    return np.rint(np.clip(image, 0, 1) * np.float32(most)).astype(dtype)
-
-
 def _colour(image: Float32Array) -> NDArray[np.uint8]:
-    return np.ascontiguousarray(np.broadcast_to(_stored(image, np.uint8), (*image.shape[:2], 3)))
+    return np.ascontiguousarray(np.broadcast_to(quantised(image, np.uint8), (*image.shape[:2], 3)))
 
 
 def _even(image: NDArray[np.uint8]) -> NDArray[np.uint8]:

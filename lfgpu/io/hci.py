@@ -6,19 +6,17 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder
-from lfgpu.io.damage import check_fetched
+from lfgpu.io.damage import check_fetched, naming
 from lfgpu.io.folders import entries, image_files
 from lfgpu.io.grid import by_place, read_grid
-from lfgpu.io.images import check_size, read_mask
+from lfgpu.io.images import check_size, mask_beside
 from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
@@ -82,7 +80,7 @@ class Parameters:
             rows, columns = self.grid_shape()
             unshifted = float(columns // 2), float(rows // 2)
         aspect = self._config.has_option("intrinsics", "pixel_aspect")
-        try:
+        with naming(self._path):
             return Geometry(
                 focal_length_px=lengths["focal_length_mm"] / lengths["sensor_size_mm"] * max(size),
                 baseline_m=lengths["baseline_mm"] / 1000.0,
@@ -91,8 +89,6 @@ class Parameters:
                 pixel_aspect=self._number("intrinsics", "pixel_aspect") if aspect else 1.0,
                 unshifted_at=unshifted,
             )
-        except LightFieldError as error:
-            raise LightFieldError(f"{self._path}: {error}") from error
 
     def resolution(self) -> tuple[int, int] | None:
         """Return (height, width) of the views as the file has it; None where it does not say."""
@@ -216,7 +212,7 @@ def write_hci(light_field: LightField, folder: str | os.PathLike[str]) -> tuple[
         truth = None
     with atomic_folder(folder) as place:
         for view, (u, v) in zip(light_field.views, light_field.positions, strict=True):
-            write_png(place / f"input_Cam{round(v) * columns + round(u):03d}.png", _storable(view))
+            write_png(place / f"input_Cam{round(v) * columns + round(u):03d}.png", view)
         write_parameters(
             place / PARAMETERS_FILE,
             grid_shape=shape,
@@ -266,18 +262,9 @@ def _truth(folder: Path, shape: tuple[int, int], size: tuple[int, int]) -> Groun
         return None
     disparity = read_map(path)
     check_size(path, disparity, size)
-    mask = None
-    if (folder / MASK_FILE).is_file():
-        mask = read_mask(folder / MASK_FILE)
-        check_size(folder / MASK_FILE, mask, size)
+    mask = mask_beside(folder / MASK_FILE, size)
     known = np.where(np.isfinite(disparity), disparity, np.float32(np.nan))
     return GroundTruth(known, (float(shape[1] // 2), float(shape[0] // 2)), mask)
-
-
-def _storable(view: NDArray[Any]) -> NDArray[Any]:
-    if view.dtype != np.float32:
-        return view
-    return np.round(np.clip(view, 0, 1) * np.float32(65535)).astype(np.uint16)
 
 
 def _write_truth(folder: Path, truth: GroundTruth, geometry: Geometry | None) -> None:
@@ -285,7 +272,7 @@ def _write_truth(folder: Path, truth: GroundTruth, geometry: Geometry | None) ->
     if geometry is not None:
         write_pfm(folder / DEPTH_FILE, geometry.depth(truth.disparity))
     if truth.mask is not None:
-        write_png(folder / MASK_FILE, truth.mask[..., None].astype(np.uint8) * np.uint8(255))
+        write_png(folder / MASK_FILE, truth.mask[..., None])
 
 
 def _check_nothing_stale(folder: Path, new: Path) -> None:

@@ -17,7 +17,7 @@ from lfgpu.io.arrays import grid_field
 from lfgpu.io.damage import check_fetched
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
-from lfgpu.io.images import check_size, read_mask
+from lfgpu.io.images import mask_beside
 from lfgpu.io.numbered import read_numbered
 from lfgpu.io.parallax import runs_as_truth
 from lfgpu.io.texts import read_text
@@ -151,10 +151,7 @@ def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
                 f"pixels is {4 * height * width}."
             )
         depth = np.fromfile(path / DEPTH_FILE, "<f4").reshape(height, width)
-    mask = None
-    if (path / MASK_FILE).is_file():
-        mask = read_mask(path / MASK_FILE)
-        check_size(path / MASK_FILE, mask, light_field.size)
+    mask = mask_beside(path / MASK_FILE, light_field.size)
     return _known(light_field, _cameras(path / ATTRIBUTES_FILE, numbers), depth, mask)
 
 

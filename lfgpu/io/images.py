@@ -74,6 +74,15 @@ def read_mask(path: str | os.PathLike[str]) -> NDArray[np.bool_]:
     return np.asarray((image != 0).any(axis=2))
 
 
+def mask_beside(path: Path, size: tuple[int, int]) -> NDArray[np.bool_] | None:
+    """Read a mask of the size of the views where there is such a file."""
+    if not path.is_file():
+        return None
+    mask = read_mask(path)
+    check_size(path, mask, size)
+    return mask
+
+
 def check_size(path: Path, array: NDArray[Any], size: tuple[int, int]) -> None:
     """Raise LightFieldError unless what a file holds has the (height, width) of the views."""
     if array.shape != size:

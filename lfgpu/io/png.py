@@ -30,11 +30,18 @@ def decode_fast(path: Path, image: Image.Image) -> NDArray[np.uint8] | None:
 
 
 def write_png(path: Path, image: NDArray[Any]) -> None:
-    """Write [y, x, c], c = 1 or 3, uint8 or uint16, without loss."""
+    """Write [y, x, c], c = 1 or 3: uint8 and uint16 without loss, floats in [0, 1] in 16 bits, bool as 0 and 255."""
+    if image.dtype.kind in "bf":
+        image = quantised(image, np.uint8 if image.dtype == np.bool_ else np.uint16)
     if image.dtype == np.uint16 and image.shape[2] == 3:
         path.write_bytes(_encode_rgb16(image))
     else:
         Image.fromarray(image if image.shape[2] == 3 else image[..., 0]).save(path, format="PNG")
+
+
+def quantised(image: NDArray[Any], dtype: Any) -> NDArray[Any]:
+    """Convert values in [0, 1] to whole numbers up to the largest of a type; others are cut off."""
+    return np.rint(np.clip(image, 0, 1) * np.float32(np.iinfo(dtype).max)).astype(dtype)
 
 
 def _encode_rgb16(image: NDArray[np.uint16]) -> bytes:

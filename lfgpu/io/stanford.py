@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io.damage import naming
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.parallax import axes_agree
@@ -51,10 +52,8 @@ def read_stanford(path: Path) -> LightField:
     positions = np.stack([x, y], axis=1) / step
     positions -= positions.min(axis=0)
     views, valid, image_notes = load_views(files)
-    try:
+    with naming(folder):
         light_field = LightField(views, positions, valid=valid, name=path.resolve().name, files=tuple(map(str, files)))
-    except LightFieldError as error:
-        raise LightFieldError(f"{folder}: {error}") from error
     notes.append(f"One view step is {step:.6g} in the unit of the names, the median distance of neighbours.")
     if axes_agree(light_field) is False:
         light_field = flipped(light_field, "v")

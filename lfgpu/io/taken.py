@@ -7,8 +7,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import INVERTED, LINEAR, TURNED
 
-_NARROWEST, _WIDEST = 1e-5, 2.0  # metres between neighbouring cameras; others are probably of another unit
-
 
 def told(light_field: LightField, name: str, *, order: str, transpose: bool, flip: str) -> LightField:
     """Complete `reading` of a light field that was read as the format `name`, with the options that were given."""
@@ -31,7 +29,7 @@ def in_unit(light_field: LightField, unit: str | None) -> LightField:
     if geometry is None:
         return light_field
     if unit is None:
-        if _NARROWEST <= geometry.baseline_m <= _WIDEST:
+        if plausible(geometry):
             return light_field
         note = f"Neighbouring cameras would stand {geometry.baseline_m:.4g} m apart: say the unit with --unit mm or cm."
         return replace(light_field, notes=(*light_field.notes, note))
@@ -42,6 +40,11 @@ def in_unit(light_field: LightField, unit: str | None) -> LightField:
     reading = replace(light_field.reading, lengths=f"lengths of the file are {unit}, as told")
     notes = tuple(note for note in light_field.notes if not note.startswith("Lengths have no unit"))
     return replace(light_field, geometry=geometry, reading=reading, notes=notes)
+
+
+def plausible(geometry: Geometry) -> bool:
+    """Tell whether neighbouring cameras stand as far apart as cameras do; lengths are of another unit otherwise."""
+    return 1e-5 <= geometry.baseline_m <= 2.0
 
 
 def check_unit(unit: object) -> None:

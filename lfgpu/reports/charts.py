@@ -19,6 +19,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from lfgpu.cameras import Explanation
+from lfgpu.data.geometry import usual_gap
 from lfgpu.methods.base import Stage
 from lfgpu.metrics import Reliability, Sparsification
 from lfgpu.viz.colours import LOOKS
@@ -134,7 +135,7 @@ def cameras(found: Explanation, limits: tuple[float, float]) -> tuple[Figure, fl
     Returns the figure, and the shift in pixels whose arrow is as long as two cameras are apart.
     """
     places = found.positions
-    apart = _least_distance(places)
+    apart = usual_gap(places) if len(places) > 1 else 1.0
     shifts = np.nan_to_num(found.shift)
     largest = max(_LEAST_ARROW, float(np.hypot(*shifts.T).max(initial=0.0)))
     arrows = shifts / largest * apart
@@ -190,12 +191,3 @@ def _chart(*, height: float = _SIZE[1]) -> tuple[Figure, Axes]:
 
 def _legend(axes: Axes) -> None:
     axes.legend(frameon=False, fontsize=8, labelcolor=_MUTED)
-
-
-def _least_distance(places: NDArray[np.float64]) -> float:
-    """Return the median distance of a camera from its nearest neighbour."""
-    if len(places) < 2:
-        return 1.0
-    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
-    np.fill_diagonal(apart, np.inf)
-    return float(np.median(apart.min(axis=1)))

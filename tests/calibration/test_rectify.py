@@ -340,7 +340,7 @@ def test_two_pictures_of_one_name_are_refused(boxes: LightField) -> None:
 def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:
     wrong = disturb(boxes, Misalignment(shift=1, gain=0.1), seed=3)
     found = rectify(wrong.light_field, calibration=known(wrong.cameras), tones=True)
-    assert write_rectified(found, tmp_path / "out") == ()
+    write_rectified(found, tmp_path / "out")
     back = lfgpu.read(tmp_path / "out")
     np.testing.assert_array_equal(back.views, found.light_field.views)
     np.testing.assert_array_equal(back.valid, found.light_field.valid)

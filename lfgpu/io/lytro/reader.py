@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data.geometry import usual_gap
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
@@ -173,10 +174,7 @@ def _step(path: Path, views: Views) -> float:
         raise LightFieldError(f"{path} has one view only; depth needs at least two.")
     if len(places) > 2000:
         raise LightFieldError(f"{path} is damaged: it claims {len(places)} views.")
-    distances = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
-    np.fill_diagonal(distances, np.inf)
-    step = float(np.median(distances.min(axis=1)))
-    if step <= 0:
+    if (step := usual_gap(places)) <= 0:
         raise LightFieldError(f"{path} is damaged: several of its views stand in one place.")
     return step
 
