@@ -32,7 +32,7 @@ from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import method_of
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.judging import kind_of
+from lfgpu.methods.matching.judging import FEATURES, kind_of
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.metrics import BORDER
 
@@ -90,7 +90,7 @@ class Sample:
         confidence, variance = (np.empty_like(self.error) for _ in range(2))
         share, spread = weights.share[self.kind], weights.spread[self.kind]
         load("reference").judge(
-            **self.features,
+            [self.features[name] for name in FEATURES],
             span=self.span,
             share=share,
             spread=spread,

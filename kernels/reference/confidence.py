@@ -63,12 +63,7 @@ def unevenness(disparity: Array, *, bend_out: Array, relief_out: Array) -> None:
 
 
 def judge(
-    conflict: Array,
-    evidence: Array,
-    bend: Array,
-    relief: Array,
-    wide: Array,
-    cost: Array,
+    maps: Sequence[Array],
     *,
     span: float,
     share: Sequence[float],
@@ -76,6 +71,7 @@ def judge(
     confidence_out: Array,
     variance_out: Array,
 ) -> None:
+    conflict, evidence, bend, relief, wide, cost = maps
     features = np.ones_like(conflict), conflict, evidence, bend, relief, bend * relief
     unknown = np.minimum(np.exp(-wide) / span, 1) ** BLIND / 2
     log_odds, log_variance = (sum(weight * f for weight, f in zip(w, features, strict=True)) for w in (share, spread))

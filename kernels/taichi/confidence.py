@@ -132,12 +132,7 @@ def unevenness(disparity: DeviceArray, *, bend_out: DeviceArray, relief_out: Dev
 
 
 def judge(
-    conflict: DeviceArray,
-    evidence: DeviceArray,
-    bend: DeviceArray,
-    relief: DeviceArray,
-    wide: DeviceArray,
-    cost: DeviceArray,
+    maps: Sequence[DeviceArray],
     *,
     span: float,
     share: Sequence[float],
@@ -145,17 +140,5 @@ def judge(
     confidence_out: DeviceArray,
     variance_out: DeviceArray,
 ) -> None:
-    run(
-        _judge_kernel,
-        conflict.values,
-        evidence.values,
-        bend.values,
-        relief.values,
-        wide.values,
-        cost.values,
-        span,
-        ti.Vector(list(share)),
-        ti.Vector(list(spread)),
-        confidence_out.values,
-        variance_out.values,
-    )
+    numbers = span, ti.Vector(list(share)), ti.Vector(list(spread))
+    run(_judge_kernel, *(each.values for each in maps), *numbers, confidence_out.values, variance_out.values)

@@ -189,12 +189,7 @@ def unevenness(disparity: Any, *, bend_out: Any, relief_out: Any) -> None:
 
 
 def judge(
-    conflict: Any,
-    evidence: Any,
-    bend: Any,
-    relief: Any,
-    wide: Any,
-    cost: Any,
+    maps: Sequence[Any],
     *,
     span: float,
     share: Sequence[float],
@@ -202,5 +197,5 @@ def judge(
     confidence_out: Any,
     variance_out: Any,
 ) -> None:
-    inputs = [conflict, evidence, bend, relief, wide, cost, span, _Weights(*share), _Weights(*spread)]
+    inputs = [*maps, span, _Weights(*share), _Weights(*spread)]
     launch_rows(_judge_kernel, inputs, confidence_out, variance_out)

@@ -256,12 +256,7 @@ class Matching(Protocol):
 
     def judge(
         self,
-        conflict: Array,
-        evidence: Array,
-        bend: Array,
-        relief: Array,
-        wide: Array,
-        cost: Array,
+        maps: Sequence[Array],
         *,
         span: float,
         share: Sequence[float],
@@ -271,10 +266,11 @@ class Matching(Protocol):
     ) -> None:
         """confidence = a (1 - u) / (1 + exp(-share . f)) and variance = (1 - u) exp(spread . f) + u span^2 / 12.
 
-        f = (1, conflict, evidence, bend, relief, bend relief). `wide` is the evidence farther around, and `span` > 0
-        what was searched, pixels per view step: u = min(exp(-wide) / span, 1)^8 / 2 is a half where all disparities
-        are as good as the best one, as the map is then a guess, and soon 0 where they are not. `cost` is that farther
-        around: a = 1 / (1 + (exp(cost) / 2.6)^12) is soon 0 where views that should agree show different things.
+        With conflict, evidence, bend, relief, wide and cost in `maps` f = (1, conflict, evidence, bend, relief, bend
+        relief). Wide is the evidence farther around, and `span` > 0 what was searched, pixels per view step: u =
+        min(exp(-wide) / span, 1)^8 / 2 is a half where all disparities are as good as the best one, as the map is then
+        a guess, and soon 0 where they are not. Cost is that farther around: a = 1 / (1 + (exp(cost) / 2.6)^12) is soon
+        0 where views that should agree show different things.
         """
 
     def refine_boundaries(

@@ -87,7 +87,7 @@ def unevenness(desk: Desk, i: SimpleNamespace) -> Outputs:
 def judge(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {name: desk.out(i.conflict.shape) for name in ("confidence", "variance")}
     desk.kernels.judge(
-        *(desk.field(values) for values in (i.conflict, i.sure, i.bend, i.relief, i.wide, i.dear)),
+        [desk.field(values) for values in (i.conflict, i.sure, i.bend, i.relief, i.wide, i.dear)],
         span=i.span,
         **i.weights_of_judge,
         confidence_out=out["confidence"],

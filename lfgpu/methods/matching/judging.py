@@ -77,7 +77,7 @@ class Judging:
             square_mean(k, values, reach=reach, workspace=relief, means_out=means)
         k.unevenness(disparity, bend_out=bend, relief_out=relief)
         k.judge(
-            *self._fields,
+            self._fields,
             span=self._span,
             share=self._share,
             spread=self._spread,
