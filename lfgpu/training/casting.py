@@ -100,6 +100,8 @@ class Light:
     """Strength of large smooth shadows from outside of the picture."""
     haze_scale: wp.float32
     exposure: wp.float32
+    pixel: wp.float32
+    """Side of the square that a pixel sees, in pixels."""
     gamma: wp.float32
     """Exponent from linear light to intensity is 1 / gamma."""
     vignetting: wp.float32
@@ -113,6 +115,17 @@ class Light:
     """Noise: sqrt(read^2 + shot^2 intensity)."""
     levels: wp.float32
     """The largest code of the camera."""
+
+
+@wp.func
+def _spread(k: int, start: float) -> wp.vec2f:
+    """Give the k-th place of a row of places that cover the square [-0.5, 0.5)^2 evenly (the R2 sequence).
+
+    All pixels and views use the same places: with random ones, soft shadows and blurred views would have grain.
+    """
+    u = start + 0.7548777 * float(k)
+    v = start + 0.5698403 * float(k)
+    return wp.vec2f(u - wp.floor(u) - 0.5, v - wp.floor(v) - 0.5)
 
 
 @wp.func
@@ -446,11 +459,9 @@ def views_kernel(
     total = wp.vec3f(0.0, 0.0, 0.0)
     side = float(rays)
     for k in range(rays * rays):
-        jx = (float(k % rays) + 0.5) / side - 0.5
-        jy = (float(k / rays) + 0.5) / side - 0.5
-        lens = wp.vec2f(0.0, 0.0)
-        if light.aperture > 0.0:
-            lens = light.aperture * wp.vec2f(2.0 * wp.randf(state) - 1.0, 2.0 * wp.randf(state) - 1.0)
+        jx = light.pixel * ((float(k % rays) + 0.5) / side - 0.5)
+        jy = light.pixel * ((float(k / rays) + 0.5) / side - 0.5)
+        lens = 2.0 * light.aperture * _spread(k, 0.5)
         offset = offsets[n] + lens
         px = float(x - margin) + jx + shifts[scene, n][0] - light.focus * lens[0]
         py = float(y - margin) + jy + shifts[scene, n][1] - light.focus * lens[1]
@@ -461,10 +472,8 @@ def views_kernel(
             seen = _colour(shapes[scene, i], looks[scene, i], textures, point, int(found[2]), offset)
             lit = seen[3]
             if light.shadow > 0.0:
-                wide = light.radius * wp.length(light.direction)
-                towards = light.direction + wide * wp.vec3f(
-                    wp.randf(state) - 0.5, wp.randf(state) - 0.5, 0.05 * (wp.randf(state) - 0.5)
-                )
+                wide = light.radius * wp.length(light.direction) * _spread(k, 0.25)
+                towards = light.direction + wp.vec3f(wide[0], wide[1], 0.0)
                 if not _is_lit(shapes, textures, scene, point, towards):
                     lit = lit * (1.0 - light.shadow)
             if light.haze > 0.0:

@@ -90,7 +90,7 @@ class Generator:
         *,
         side: int = 192,
         textures: int = 64,
-        rays: int = 2,
+        rays: int = 4,
         rig: Rig | None = None,
     ) -> None:
         self.seed, self.device, self.side, self.rays, self.rig = seed, device, side, rays, rig

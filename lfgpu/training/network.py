@@ -86,7 +86,9 @@ class Network(nn.Module):
         y = self.back2(self.merge2(y, x2))
         y = self.back1(self.merge1(y, x1))
         y = self.back0(self.merge0(y, x0))
-        return F.pixel_shuffle(self.logits(y).transpose(1, 2), FOLD)[:, :, 0].float()
+        with torch.autocast(y.device.type, enabled=False):  # differences of logits are hundredths of a pixel
+            logits = self.logits(y.float())
+        return F.pixel_shuffle(logits.transpose(1, 2), FOLD)[:, :, 0]
 
 
 _REACH = 2  # disparities on either side of the likeliest one that its mean is over

@@ -256,12 +256,13 @@ def _light(count: int, rng: np.random.Generator, span: Float64Array, low: Float6
     lights["haze"] = np.where(draw.often(0.4), draw.uniform(0.1, 0.8), 0.0)
     lights["haze_scale"] = draw.scale(0.05, 0.6)
     lights["exposure"] = np.where(draw.often(0.75), draw.scale(0.5, 2.2), draw.scale(0.08, 0.8))
+    lights["pixel"] = draw.uniform(1.0, 1.5)
     lights["gamma"] = np.where(draw.often(0.75), draw.uniform(1.8, 2.4), draw.uniform(1.0, 1.8))
     lights["vignetting"] = np.where(draw.often(0.25), draw.uniform(0, 0.5), 0.0)
     lights["aperture"] = np.where(draw.often(0.2), draw.uniform(0.0, 0.12), 0.0)
     lights["focus"] = low + span * draw.uniform()
-    noise = draw.uniform()
+    noise = draw.uniform()  # as rendered pictures have it, as good cameras, as cheap ones
     lights["read"] = np.where(noise < 0.35, 0.0, np.where(noise < 0.8, 0.012, 0.04) * draw.uniform())
-    lights["shot"] = np.where(draw.often(0.5), 0.0, 0.035 * draw.uniform())
+    lights["shot"] = np.where((noise < 0.35) | draw.often(0.3), 0.0, 0.035 * draw.uniform())
     lights["levels"] = 2.0 ** draw.one_of({8: 0.8, 10: 0.1, 12: 0.1}) - 1
     return lights

@@ -22,15 +22,16 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
 from lfgpu.methods.matching.learned import Weights
 from lfgpu.training.generator import Batch, Generator
-from lfgpu.training.network import Network, certainty, estimate, peak
+from lfgpu.training.network import MULTIPLE, Network, certainty, estimate, peak
 from lfgpu.training.rig import Rig
 from lfgpu.training.trust import fit_trust
 from lfgpu.training.weights import unfold
 
 _WARM_UP = 200  # steps over which the learning rate rises
 _SHOWN = 100  # steps from one line of the log to the next
-_WINDOWS = 0.25  # share of the steps that compare windows around a coarse map
 _NARROW = 30.0  # pixels in the farthest view: a rig's range that is not wider is compared whole
+_LARGE, _EVERY = 5 / 3, 3  # every so many batches light fields are larger by this, and as many fewer
+_FINE = 0.03  # pixels in the farthest view from which the loss grows like the logarithm of the error
 _SHOWN_FIRST = 8  # batches that a network which begins with given weights is shown
 _UNSEEN = 1_000_000  # era of the light fields of validations
 _PIXELS = 20_000  # of a batch, that the trust is fitted to
@@ -64,22 +65,14 @@ class Settings:
     """Batches of a validation."""
 
 
-def labels_for(
-    batch: Batch, rng: np.random.Generator, limits: tuple[float, float] | None = None
+def disparities_for(
+    batch: Batch, rng: np.random.Generator, count: int, limits: tuple[float, float] | None = None
 ) -> tuple[Tensor, Tensor, int]:
-    """Draw the disparities to compare: the first of each pixel [b, y, x], the steps [b], the count.
+    """Draw the disparities to compare, a range that holds the truth: the first of each pixel, the steps [b], the count.
 
-    They are a range, or windows around a coarse map, as the last pass over a wide range has them.
+    It is about the `limits` of a rig, with as many disparities as it needs, if these are narrow.
     """
-    return _windows_for(batch, rng) if rng.random() < _WINDOWS else range_for(batch, rng, limits)
-
-
-def range_for(
-    batch: Batch, rng: np.random.Generator, limits: tuple[float, float] | None = None
-) -> tuple[Tensor, Tensor, int]:
-    """Draw a range that holds the truth, as `labels_for`; about the `limits` of a rig if these are narrow."""
     low, high = batch.truth.amin((1, 2)).cpu().numpy(), batch.truth.amax((1, 2)).cpu().numpy()
-    count = int(rng.choice([20, 28, 36, 48], p=[0.25, 0.3, 0.3, 0.15]))
     if limits is not None and limits[1] - limits[0] < _NARROW:
         found = sorted(limits + 0.1 * (limits[1] - limits[0]) * rng.uniform(-0.5, 1, 2) * (-1, 1))
         low, high = np.minimum(low, found[0]), np.maximum(high, found[1])
@@ -91,24 +84,9 @@ def range_for(
     return first[:, None, None].expand_as(batch.truth).contiguous(), step, count
 
 
-def _windows_for(batch: Batch, rng: np.random.Generator) -> tuple[Tensor, Tensor, int]:
-    """Draw windows around a coarse map: the truth, sampled sparsely or spread from its edges, with smooth errors."""
-    truth = batch.truth[:, None]
-    count, factor = int(rng.choice([12, 16, 20])), int(rng.choice([2, 4, 8]))
-    step = torch.tensor(rng.uniform(0.4, 0.9, len(truth)), dtype=torch.float32, device=truth.device)
-    match rng.integers(3):
-        case 0:
-            coarse = truth[..., factor // 2 :: factor, factor // 2 :: factor]
-        case 1:
-            coarse = F.max_pool2d(truth, factor)
-        case _:
-            coarse = F.avg_pool2d(truth, factor)
-    generator = torch.Generator(truth.device).manual_seed(int(rng.integers(1 << 30)))
-    for size, error in (coarse.shape[-2:], 0.4), ((6, 6), 0.8):
-        noise = torch.randn((len(truth), 1, *size), generator=generator, device=truth.device)
-        coarse = coarse + F.interpolate(noise, coarse.shape[-2:], mode="bilinear") * error * step[:, None, None, None]
-    first = F.interpolate(coarse, truth.shape[-2:], mode="bilinear")[:, 0] - step[:, None, None] * (count - 1) / 2
-    return first.contiguous(), step, count
+def count_of(*seed: int) -> int:
+    """Draw how many disparities to compare."""
+    return int(np.random.default_rng(seed).choice([20, 28, 36, 48], p=[0.25, 0.3, 0.3, 0.15]))
 
 
 def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[str, Tensor]:
@@ -124,7 +102,7 @@ def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[
     logs = logits.log_softmax(1)
     likelihood = -((1 - share) * logs.gather(1, below) + share * logs.gather(1, below + 1)).mean()
     error = (peak(logits, first, steps) - truth).abs()
-    exact = torch.log1p(error.clamp(max=8) / 0.1).mean()
+    exact = torch.log1p(error.clamp(max=8) / _FINE).mean()
     with torch.no_grad():
         found = {f"bad {limit}": (error > limit).float().mean() for limit in (0.28, 0.12, 0.04)}
         found["mse"] = error.clamp(max=8).square().mean()
@@ -191,12 +169,13 @@ class Trainer:
         torch.manual_seed(settings.seed)
         self.network, self.mean = Network().to(device), Network().to(device)
         self.optimiser = torch.optim.AdamW(self.network.parameters(), settings.rate, weight_decay=1e-3)
+        self.scaler = torch.amp.GradScaler(torch.device(device).type, enabled=device != "cpu")
         self.step = 0
         self._about = {**asdict(settings), "rig": None if rig is None else asdict(rig)}
         is_new = not (folder / STATE_FILE).exists()
         if not is_new:
             self._read()
-        self.generator = self._generator()
+        self._begin_era()
         if is_new:
             if start is not None:
                 unfold(start, self.network, self._show)
@@ -229,16 +208,17 @@ class Trainer:
             margin=batch.margin, first=first, steps=steps, count=count,
         )  # fmt: skip
 
-    def _parts(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer]:
+    def _parts(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer | torch.amp.GradScaler]:
         """Name what has a state."""
-        return {"network": self.network, "mean": self.mean, "optimiser": self.optimiser}
+        return {"network": self.network, "mean": self.mean, "optimiser": self.optimiser, "scaler": self.scaler}
 
     def _show(self, network: Network) -> None:
         """Show a network some batches."""
         rng = np.random.default_rng((self.settings.seed, 5))
         for number in range(_SHOWN_FIRST):
             batch = self.generator.draw(number, self.settings.scenes)
-            first, steps, count = range_for(batch, rng, self._limits)
+            count = count_of(self.settings.seed, 5, number)
+            first, steps, count = disparities_for(batch, rng, count, self._limits)
             self._logits(network, batch, first, steps, count)
 
     @property
@@ -259,9 +239,9 @@ class Trainer:
             rng = np.random.default_rng((self.settings.seed, 4, self.step, self.rank))
             if self.step % self.settings.refresh == 0 and self.step > began_at:
                 self.write()
-                self.generator = self._generator()
+                self._begin_era()
             if drawn is None or self.step % self.settings.uses == 0:
-                drawn = self.generator.draw(self.step, self.settings.scenes)
+                drawn = self._draw(self.step)
             for name, value in self.learn(drawn.turned(rng, keep=self.rig is not None), rng).items():
                 sums[name] = sums.get(name, 0.0) + value.detach()
             if (self.step % _SHOWN == 0 or self.step == self.settings.steps) and self.rank == 0:
@@ -291,13 +271,15 @@ class Trainer:
         self.network.train()
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate()
-        first, steps, count = labels_for(batch, rng, self._limits)
+        # All processes compare as many disparities: they wait for each other.
+        first, steps, count = disparities_for(batch, rng, count_of(self.settings.seed, 7, self.step), self._limits)
         kind = torch.device(self.device).type
-        with torch.autocast(kind, dtype=torch.bfloat16, enabled=kind == "cuda"):  # on a CPU it is slower than float32
+        # The kernels of a GPU compute in float16, too; bfloat16 loses faint texture. On a CPU both are slow.
+        with torch.autocast(kind, dtype=torch.float16, enabled=kind == "cuda"):
             logits = self._logits(self.network, batch, first, steps, count)
         found = losses(logits, batch.truth, first, steps)
         self.optimiser.zero_grad(set_to_none=True)
-        found["loss"].backward()
+        self.scaler.scale(found["loss"]).backward()
         if self.world > 1:
             gradients = [parameter.grad for parameter in self.network.parameters()]
             flat = torch.cat([gradient.flatten() for gradient in gradients])
@@ -305,8 +287,10 @@ class Trainer:
             parts = (flat / self.world).split([gradient.numel() for gradient in gradients])
             for gradient, mean in zip(gradients, parts, strict=True):
                 gradient.copy_(mean.view_as(gradient))
-        if bool(torch.isfinite(torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0))):
-            self.optimiser.step()
+        self.scaler.unscale_(self.optimiser)
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.scaler.step(self.optimiser)
+        self.scaler.update()
         self.step += 1
         # The weights that are kept are a mean over the last thousand steps.
         share = 1 - min(0.999, self.step / (self.step + 19))
@@ -318,14 +302,15 @@ class Trainer:
 
     def validate(self) -> Validation:
         """Judge the network on light fields that training never sees, of the first process's seeds."""
-        network, generator = self.mean.eval(), self._generator(_UNSEEN)
+        network, generator = self.mean.eval(), self._generator(_UNSEEN, self.settings.side)
         rng = np.random.default_rng((self.settings.seed, 6))
         sums: dict[str, float] = {}
         samples: list[Float64Array] = []
         shown: list[Scene] = []
         for number in range(self.settings.unseen):
             batch = generator.draw(number, self.settings.scenes)
-            first, steps, count = range_for(batch, rng, self._limits)
+            count = count_of(self.settings.seed, 6, number)
+            first, steps, count = disparities_for(batch, rng, count, self._limits)
             with torch.no_grad():
                 logits = self._logits(network, batch, first, steps, count)
             for name, value in losses(logits, batch.truth, first, steps).items():
@@ -342,10 +327,23 @@ class Trainer:
         share, spread = fit_trust(*np.concatenate(samples, 1))
         return Validation({name: round(value, 4) for name, value in sums.items()}, share, spread, shown)
 
-    def _generator(self, era: int | None = None) -> Generator:
-        """Make the source of the batches of this process until the textures are drawn anew."""
-        era = self.step // self.settings.refresh if era is None else era
-        return Generator((self.settings.seed, era, self.rank), self.device, side=self.settings.side, rig=self.rig)
+    def _begin_era(self) -> None:
+        """Draw the textures anew."""
+        era, side = self.step // self.settings.refresh, self.settings.side
+        self.generator = self._generator(era, side)
+        large = int(side * _LARGE) // MULTIPLE * MULTIPLE
+        self._large = self.generator if self.rig is not None else self._generator(era, large)
+
+    def _draw(self, step: int) -> Batch:
+        """Make the batch of a step."""
+        of_large = step // self.settings.uses % _EVERY == _EVERY - 1
+        generator = self._large if of_large else self.generator
+        scenes = round(self.settings.scenes * (self.settings.side / generator.side) ** 2)
+        return generator.draw(step, max(scenes, 1))
+
+    def _generator(self, era: int, side: int) -> Generator:
+        """Make a source of batches of this process."""
+        return Generator((self.settings.seed, era, self.rank), self.device, side=side, rig=self.rig)
 
     def _rate(self) -> float:
         """Give the learning rate of the next step: half a cosine, after a warm-up."""
