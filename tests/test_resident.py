@@ -54,11 +54,11 @@ def assert_equal(one: DepthResult, other: DepthResult) -> None:
 
 @pytest.mark.parametrize("masked", [False, True], ids=["whole", "masked"])
 @pytest.mark.parametrize("given", [None, (-2.5, 2.5)], ids=["found", "given"])
-@pytest.mark.parametrize("config", ["fast", "accurate", "learned", "paper"])
+@pytest.mark.parametrize("config", ["fast", "accurate", "learned", "surest", "paper"])
 def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, given: Any, masked: bool) -> None:
     if not target.kernels.is_deterministic(target.device):
         pytest.skip("its maps differ from run to run")
-    if target.backend != "warp" and (masked or config in ("learned", "paper")):
+    if target.backend != "warp" and (masked or config in ("learned", "surest", "paper")):
         pytest.skip("takes long, and is the same on the host")
     fields = [a_scene(seed, noise, masked=masked) for seed, noise in FIELDS]
     alone = []

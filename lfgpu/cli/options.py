@@ -221,12 +221,20 @@ class Views:
 class Parameters:
     """Options that choose the parameters of a method."""
 
-    preset: Preset = "accurate"
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            "--preset",
+            metavar="NAME",
+            help="Parameters to start from. {presets}.",
+            show_default="accurate, or learned with --weights",
+        ),
+    ] = None
     weights: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE",
-            help="Weights that `lfgpu train` wrote, for the network of the preset learned.",
+            help="Weights that `lfgpu train` wrote, for the network of the presets learned and surest.",
             show_default="those of lfgpu",
         ),
     ] = None

@@ -102,7 +102,7 @@ def use_threads(option: str, count: int | None) -> None:
     set_threads(count)
 
 
-def configured(preset_name: str, settings: Sequence[str], weights: Path | None = None) -> Config:
+def configured(preset_name: str | None, settings: Sequence[str], weights: Path | None = None) -> Config:
     """Apply settings `stage.parameter=value` and weights to a preset; LightFieldError if one is wrong or unknown."""
     from lfgpu import methods
 

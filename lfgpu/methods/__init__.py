@@ -41,6 +41,7 @@ METHODS: dict[str, Entry] = {
             "accurate": "four sweeps, three of them over all views that see a pixel",
             "fast": "two sweeps over the views in the row and column of the reference",
             "learned": "one network, trained on generated light fields, over all views",
+            "surest": "both: each pixel from accurate or learned, whichever is surer of it",
         },
     ),
     "synthesis": Entry(
@@ -59,7 +60,7 @@ METHODS: dict[str, Entry] = {
 PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
 """Complete parameters by name, the default preset first."""
 
-PresetName: TypeAlias = Literal["accurate", "fast", "learned", "paper", "paper-exact"]
+PresetName: TypeAlias = Literal["accurate", "fast", "learned", "surest", "paper", "paper-exact"]
 """The names of `PRESETS`, for type checkers."""
 
 
@@ -76,13 +77,13 @@ def preset(name: str) -> Config:
     return PRESETS[name]
 
 
-def configured(config: Config | str, weights: str | os.PathLike[str] | None = None) -> Config:
+def configured(config: Config | str | None, weights: str | os.PathLike[str] | None = None) -> Config:
     """Return the parameters that `config` is or names, with the weights of a file of `lfgpu train`.
 
-    With weights, the default preset stands for "learned". LightFieldError if `config` has no network for them.
+    None is the default preset, or "learned" with weights. LightFieldError if `config` has no network for them.
     """
-    if weights is not None and config == next(iter(PRESETS)):
-        config = "learned"
+    if config is None:
+        config = "accurate" if weights is None else "learned"
     found = preset(config) if isinstance(config, str) else config
     if not isinstance(found, Config):
         raise LightFieldError(
@@ -90,8 +91,10 @@ def configured(config: Config | str, weights: str | os.PathLike[str] | None = No
         )
     if weights is None:
         return found
-    if not isinstance(found, _matching.MatchingConfig) or found.tuning.passes != "learned":
-        raise LightFieldError("weights are for a network, which only the preset learned has; leave out the preset.")
+    if not isinstance(found, _matching.MatchingConfig) or found.tuning.passes == "matching":
+        raise LightFieldError(
+            "weights are for a network, which only the presets learned and surest have; give one of them."
+        )
     from lfgpu.methods.matching.learned import weights_file
 
     return replace(found, weights=weights_file(weights))

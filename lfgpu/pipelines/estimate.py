@@ -19,7 +19,7 @@ from lfgpu.pipelines.verdict import judged
 def estimate_depth(
     lf: LightField,
     *,
-    config: Config | PresetName = "accurate",
+    config: Config | PresetName | None = None,
     weights: str | os.PathLike[str] | None = None,
     disparity_range: tuple[float, float] | None = None,
     backend: BackendName = DEFAULT,
@@ -40,10 +40,10 @@ def estimate_depth(
     lf
         The light field; the map is that of its reference view.
     config
-        All parameters, or the name of a preset: "accurate" (default), "fast", "learned" or "paper".
+        All parameters, or the name of a preset: "accurate", "fast", "learned", "surest" or "paper". Default None:
+        "accurate", or "learned" with weights.
     weights
-        A file that `lfgpu train` wrote: the weights of the network. Then the default preset is "learned". Default None:
-        the weights that lfgpu comes with.
+        A file that `lfgpu train` wrote: the weights of the network. Default None: those that lfgpu comes with.
     disparity_range
         (low, high) of the disparities in pixels per view step; larger is nearer. Default None: found from the views.
     backend

@@ -80,7 +80,7 @@ class DepthPipeline:
         self,
         lf: LightField,
         *,
-        config: Config | PresetName = "accurate",
+        config: Config | PresetName | None = None,
         weights: str | os.PathLike[str] | None = None,
         disparity_range: tuple[float, float] | None = None,
         backend: BackendName = DEFAULT,

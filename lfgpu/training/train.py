@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import torch
 import torch.distributed as dist
-import torch.nn.functional as F  # noqa: N812 - its usual name
 from torch import Tensor
 
 from lfgpu.comparison import Scene

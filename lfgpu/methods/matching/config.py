@@ -134,9 +134,9 @@ PRESETS = {
     "learned": MatchingConfig(
         sweep=SweepConfig(resweeps=0, step=0.5, smoothing=0.0),
         boundaries=BoundariesConfig(contrast=10.0),
-        hole_filling=HoleFillingConfig(max_iterations=0),
         tuning=tuning.LEARNED,
     ),
+    "surest": MatchingConfig(tuning=tuning.SUREST),
 }
 """`accurate` compares all views, or every other one of large grids, in four sweeps. `fast` compares the reference's row
 and column of views in two sweeps."""

@@ -13,6 +13,7 @@ from lfgpu.methods.matching.learned import DISPARITIES
 _DIRECTIONS = 8  # in which partial view sets lie
 _ON_LINE = 1e-3  # view steps: a view that is nearer to a border lies on it
 _ON_BOUND = 1e-6  # steps: a disparity that is nearer to a bound lies on it
+_NETWORK_STEP = 0.5  # pixels in the farthest view between disparities of the network, as it was trained
 _PADDING = 2  # disparities beyond either bound that the network compares: it was trained to find surfaces inside
 _FEWEST = 3  # a minimum between two disparities is found from three
 
@@ -34,7 +35,7 @@ def compared_disparities(bounds: tuple[float, float], farthest: float, config: S
 def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
     """Choose the disparities that the network compares: at least two steps more than the bounds on either side."""
     low, high = bounds
-    step = max(config.step / farthest, (high - low) / (config.max_labels - 2 * _PADDING - 1))
+    step = max(_NETWORK_STEP / farthest, (high - low) / (config.max_labels - 2 * _PADDING - 1))
     count = math.ceil((high - low) / step) + 1 + 2 * _PADDING
     count += -count % DISPARITIES
     return Disparities((low + high) / 2 - step * (count - 1) / 2, step, count)

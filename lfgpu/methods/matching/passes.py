@@ -46,6 +46,7 @@ FAST = (
 )
 
 LEARNED = (Sweep("all", "", "view sets", 0, "learned"),)
+"""A network, which has costs of its own; after other sweeps it finds a second map, see `second.py`."""
 
 
 def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
@@ -59,6 +60,7 @@ def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:
 TABLES: Mapping[str, Callable[[int], tuple[Sweep, ...]]] = {
     "matching": matching_sweeps,
     "learned": lambda resweeps: LEARNED,
+    "both": lambda resweeps: (*matching_sweeps(resweeps), *LEARNED),
 }
 """Tables of sweeps by name (`MatchingTuning.passes`), each for a number of sweeps after the first."""
 
@@ -107,6 +109,7 @@ class Sweeps:
         config, tuning, bounds = frame.config, frame.config.tuning.sweep, frame.bounds
         self._frame, self._put_far = frame, frame.known.putting(bounds[0])  # an unknown pixel hides nothing
         first, *further = sweeps_of(config)
+        second = further.pop() if further and further[-1] in LEARNED else None
         self._guesses = None
         with arena.scratch() as scratch:
             self._hides, self._evidence = scratch.fields(2, size)
@@ -123,6 +126,8 @@ class Sweeps:
                     ones=frame.prior.ones,
                 )
             self._first, self._further = PlannedSweep(first, frame), [PlannedSweep(row, frame) for row in further]
+            self.second = None if second is None else PlannedSweep(second, frame)
+            """The sweep that finds a second map, None if there is none."""
         self.unhidden = arena.field("evidence of the first sweep", size) if further else None
         """The evidence [y, x] of the sweep in which no surface hid anything; None if no sweep follows it."""
 

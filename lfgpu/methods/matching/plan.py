@@ -23,6 +23,7 @@ from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.judging import kind_of
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.passes import Sweeps
+from lfgpu.methods.matching.second import SecondMap
 from lfgpu.methods.matching.views import are_around, chosen_views
 from lfgpu.methods.measured import Measured
 from lfgpu.solvers.solution import Solution
@@ -50,6 +51,7 @@ class MatchingPlan:
             arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.may_be_masked
         )
         self._sweeps, self._alignment, self._completion = Sweeps(frame, kind=kind), Alignment(frame), Completion(frame)
+        self._second = None if self._sweeps.second is None else SecondMap(frame, self._sweeps)
         self._put_unknown = frame.known.putting(np.nan)
         names = ("swept", "aligned", "disparity", "confidence")
         self._swept, self._aligned, self.disparity, self.confidence = (arena.field(name, frame.size) for name in names)
@@ -120,6 +122,8 @@ class MatchingPlan:
     def _align(self, callback: Callback | None) -> None:
         variance = self._sweeps.last.aggregation.variance
         self._alignment.run(self._matched, variance, self._aligned, self._steps, callback)
+        if self._second is not None:
+            self._second.take(self._alignment, self._sweeps.unhidden, self._aligned)
 
     def _finish(self, _: Callback | None) -> None:
         self._complete()
@@ -132,4 +136,6 @@ class MatchingPlan:
     def _judge(self, unhidden: Array | None) -> None:
         """Find confidence and variance; `unhidden` as for `Judging.run`."""
         self._sweeps.judge(self._sweeps.last, self.disparity, unhidden, self.confidence)
+        if self._second is not None:
+            self._second.judge(self.confidence)
         self._frame.known.take_out(self.confidence)
