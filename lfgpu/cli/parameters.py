@@ -21,16 +21,11 @@ _ALLOWED = 12  # characters of a range or of choices in a line
 class Row:
     """One parameter as text."""
 
-    name: str
-    """`stage.parameter`, as `--set` takes it."""
-    value: str
-    """The value in the preset."""
-    allowed: str
-    """The range or the choices."""
-    meaning: str
-    """The meaning, with the unit."""
-    symbol: str
-    """Its symbol in the paper; "" if it has none."""
+    name: str  # `stage.parameter`, as `--set` takes it
+    value: str  # the value in the preset
+    allowed: str  # the range or the choices
+    meaning: str  # the meaning, with the unit
+    symbol: str  # its symbol in the paper; "" if it has none
 
 
 def parameters(preset: Preset = "accurate") -> None:
