@@ -31,8 +31,7 @@ class Scene:
     """The view that the ground truth belongs to, float32 [y, x, c] in [0, 1]."""
     truth: NDArray[np.float32]
     """The ground truth, float32 [y, x], pixels per view step; NaN where unknown or not scored."""
-    maps: dict[str, NDArray[np.float32]] = field(default_factory=dict)
-    """The maps by method, [y, x]."""
+    maps: dict[str, NDArray[np.float32]] = field(default_factory=dict)  # the maps by method, [y, x]
     border: int = BORDER
 
     def scores(self) -> dict[str, Metrics]:
@@ -54,8 +53,7 @@ class Row:
     method: str
     values: tuple[float, ...]
     """A value for each of `COLUMNS`; NaN without a map."""
-    best: tuple[bool, ...]
-    """True if it is the smallest on this scene, for each of `COLUMNS`."""
+    best: tuple[bool, ...]  # true if it is the smallest on this scene, for each of `COLUMNS`
 
     @property
     def cells(self) -> list[str]:

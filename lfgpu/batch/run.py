@@ -28,15 +28,13 @@ class Summary:
     items: list[Item]
     entries: dict[str, Entry] = field(default_factory=dict)
     """The manifest entries of the items, by name, without those that were not reached."""
-    kept: int = 0
-    """The number of items that were already up to date."""
+    kept: int = 0  # the number of items that were already up to date
     computed: int = 0
     failed: list[Entry] = field(default_factory=list)
     seconds: float = 0.0
     settings: Settings | None = None
     """The settings of the estimates."""
-    damaged: int = 0
-    """Number of damaged lines of the manifest, which were skipped."""
+    damaged: int = 0  # number of damaged lines of the manifest, which were skipped
 
     @property
     def left(self) -> int:

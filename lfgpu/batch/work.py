@@ -50,8 +50,7 @@ class Settings:
     deterministic: bool = False
     report: bool = False
     """Write a report of each item; results do not depend on it."""
-    command: str = ""
-    """The command line, for the reports."""
+    command: str = ""  # the command line, for the reports
 
     @property
     def options(self) -> dict[str, Any]:

@@ -43,8 +43,7 @@ class Vectors(Protocol):
 class Residuals(Protocol):
     """Residuals of a linear solver after each iteration, and its stopping rule, on a device."""
 
-    go_on: Scalar
-    """1 while there is something to do, else 0."""
+    go_on: Scalar  # 1 while there is something to do, else 0
 
     def begin(self, norm: Scalar) -> None:
         """Forget everything; residuals are relative to `norm`, or to 1 if that is 0."""
@@ -66,8 +65,7 @@ class Lbfgs(Protocol):
     that `begin` is given, x is measured in 1 / √c and the gradient in √c, in inner products and in the recursion.
     """
 
-    go_on: Scalar
-    """1 while there is something to do, else 0."""
+    go_on: Scalar  # 1 while there is something to do, else 0
 
     def begin(self, x: Array, gradient: Array, value: Scalar, curvature: Array | None = None) -> None:
         """Forget everything; the first direction is against the gradient where the bounds leave it free.

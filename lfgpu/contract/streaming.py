@@ -15,11 +15,9 @@ Maps: TypeAlias = Any
 class Slot(Protocol):
     """Memory for a frame that waits for its turn."""
 
-    host: NDArray[Any]
-    """The views [n, y, x, c], as stored, in memory of the host."""
+    host: NDArray[Any]  # the views [n, y, x, c], as stored, in memory of the host
 
-    present: NDArray[np.float32]
-    """Presence of the views, 1 or 0, [n]."""
+    present: NDArray[np.float32]  # presence of the views, 1 or 0, [n]
 
 
 class Lease(Protocol):
@@ -35,8 +33,7 @@ class Lease(Protocol):
 class Transport(Protocol):
     """The traffic of one stream. Each thread that asks the device, or waits for it, calls `enter` once."""
 
-    made: int
-    """Number of results that there is memory for."""
+    made: int  # number of results that there is memory for
 
     def enter(self) -> None:
         """Prepare the calling thread for the device."""

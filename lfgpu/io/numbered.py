@@ -46,8 +46,7 @@ class _Found:
     left_out: tuple[Path, ...]
     rival: Path | None
     """One of the pictures that may as well be the views."""
-    alike: bool = False
-    """True if these have the same numbers: words may name cameras, and numbers times."""
+    alike: bool = False  # true if these have the same numbers: words may name cameras, and numbers times
 
 
 def recognise(path: Path, *, kind: str) -> str | None:

@@ -37,14 +37,10 @@ _ALIKE = 0.7  # correlation of pictures of one scene; those of other scenes are 
 class Moves:
     """Distances of the cameras of pairs of pictures."""
 
-    vectors: NDArray[np.float64]
-    """[pairs, 2], x and y, in units of the same unknown length; of unknown common sign."""
-    explained: float
-    """Share of the motion that they explain, 0 to 1."""
-    rms: float
-    """Motion of the pictures, pixels."""
-    shares: NDArray[np.float64]
-    """[pairs], share of the motion of each pair that they explain."""
+    vectors: NDArray[np.float64]  # [pairs, 2], x and y, in units of the same unknown length; of unknown common sign
+    explained: float  # share of the motion that they explain, 0 to 1
+    rms: float  # motion of the pictures, pixels
+    shares: NDArray[np.float64]  # [pairs], share of the motion of each pair that they explain
 
     @property
     def still(self) -> bool:

@@ -60,12 +60,9 @@ class _Side:
 class _Evidence:
     """Evidence that one comparison found."""
 
-    disparity: Float32Array
-    """[y, x], NaN where a pixel is no evidence."""
-    step: float
-    """Distance of the disparities that were compared."""
-    unchecked: bool
-    """True if each side was a single view, and none stood opposite."""
+    disparity: Float32Array  # [y, x], NaN where a pixel is no evidence
+    step: float  # distance of the disparities that were compared
+    unchecked: bool  # true if each side was a single view, and none stood opposite
 
 
 def find_disparity_range(
@@ -263,8 +260,7 @@ class _Search:
 class _Comparison:
     """Outcome of a comparison on the device."""
 
-    found: Array
-    """See `RangeSearch.distinct_minimum` in `lfgpu/contract`."""
+    found: Array  # see `RangeSearch.distinct_minimum` in `lfgpu/contract`
     first: float
     step: float
     unchecked: bool

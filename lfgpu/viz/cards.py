@@ -33,8 +33,7 @@ _THIN, _THICK = 1 / 450, 1 / 190  # width of a line, as a share of the picture's
 class Tick:
     """A number at a scale."""
 
-    place: float
-    """Percent of the length of the scale, from its low end."""
+    place: float  # percent of the length of the scale, from its low end
     text: str
 
 

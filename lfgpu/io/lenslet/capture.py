@@ -26,14 +26,11 @@ _PLACES = ("r", "gr", "gb", "b")
 class Capture:
     """The picture that the sensor recorded."""
 
-    mosaic: Float32Array
-    """[y, x], linear: 0 is black and 1 the white level of the sensor."""
-    bayer: str | None
-    """The pattern if the file says which one it is."""
+    mosaic: Float32Array  # [y, x], linear: 0 is black and 1 the white level of the sensor
+    bayer: str | None  # the pattern if the file says which one it is
     balance: tuple[float, float, float]
     """Gains of red, green and blue that make white of white, if the file has them; else 1."""
-    source: str
-    """The kind of its file, for people."""
+    source: str  # the kind of its file, for people
     notes: tuple[str, ...] = ()
     camera: Camera | None = None
     """The camera, as far as the file describes it."""

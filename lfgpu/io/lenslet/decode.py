@@ -34,10 +34,8 @@ _LEAST_LEVEL = 1e-4  # of the white level: what is darker everywhere is black
 class Decoded:
     """A light field from a raw capture, and how it was made."""
 
-    light_field: LightField
-    """Views uint16 [n, y, x, c], square roots of linear values."""
-    about: dict[str, Any]
-    """Findings and steps, for people and JSON."""
+    light_field: LightField  # views uint16 [n, y, x, c], square roots of linear values
+    about: dict[str, Any]  # findings and steps, for people and JSON
 
 
 def decode(

@@ -28,10 +28,8 @@ class ViewGrid:
     lenses: Microlenses
     origin: NDArray[np.float64]
     """[2], (x, y) on the sensor of the pixel at the top left."""
-    shape: tuple[int, int]
-    """(height, width) in pixels."""
-    first_row: int
-    """Row of lenses of the first row of pixels."""
+    shape: tuple[int, int]  # (height, width) in pixels
+    first_row: int  # row of lenses of the first row of pixels
 
     @property
     def pixel(self) -> float:

@@ -28,12 +28,9 @@ _HEXAGONAL, _SQUARE = (0.0, 60.0, 120.0), (0.0, 90.0)  # degrees between peaks
 class Peaks:
     """The frequencies (x, y), cycles per pixel, of a lattice, and how far they stand out."""
 
-    frequencies: NDArray[np.float64]
-    """[3, 2] of a hexagonal lattice, [2, 2] of a square one."""
-    strength: float
-    """The weakest peak's power over the median power at its distance from zero."""
-    power: float
-    """The weakest peak's power."""
+    frequencies: NDArray[np.float64]  # [3, 2] of a hexagonal lattice, [2, 2] of a square one
+    strength: float  # the weakest peak's power over the median power at its distance from zero
+    power: float  # the weakest peak's power
 
     @property
     def square(self) -> bool:

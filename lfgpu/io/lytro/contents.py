@@ -27,12 +27,9 @@ _STRETCH = (0.9, 1.1)
 class MicrolensArray:
     """The design of the microlens array: a hexagonal lattice whose rows run along the rows of the sensor."""
 
-    pitch: float
-    """Distance of neighbours in a row, in pixels of the sensor."""
-    rotation: float
-    """Of the rows against the rows of the sensor, in radians."""
-    stretch: float
-    """Distance of the rows over that of an equilateral lattice."""
+    pitch: float  # distance of neighbours in a row, in pixels of the sensor
+    rotation: float  # of the rows against the rows of the sensor, in radians
+    stretch: float  # distance of the rows over that of an equilateral lattice
 
 
 @dataclass(frozen=True)
@@ -118,10 +115,8 @@ _FRAMES = (("picture", "frameArray"), ("master", "picture", "frameArray"), ("fra
 class Pictures:
     """Pictures of one size, each in a section of its own or all of them in one video."""
 
-    representation: str
-    """Kind of their files: "jpeg", "png", or "h264" for a video."""
-    size: tuple[int, int]
-    """(height, width) in pixels."""
+    representation: str  # kind of their files: "jpeg", "png", or "h264" for a video
+    size: tuple[int, int]  # (height, width) in pixels
     count: int
     sections: tuple[str, ...]
     """Names of the sections: one for each picture, or the one with the video."""
@@ -149,8 +144,7 @@ class FocusStack:
 class DepthTable:
     """Lytro's own depth: a number λ for each cell; the larger, the farther. 0 is where the main lens was focused."""
 
-    size: tuple[int, int]
-    """(height, width) in cells, which together cover a picture."""
+    size: tuple[int, int]  # (height, width) in cells, which together cover a picture
     section: str
     confidence: str | None
     """Name of the section with the confidences, 0 to 1, if there are some."""
@@ -176,8 +170,7 @@ class Contents:
     camera: Camera | None
     missing: str | None
     """Name of the raw picture, if the table names one that is not in the file."""
-    unknown: tuple[str, ...]
-    """Kinds of accelerations that are not known."""
+    unknown: tuple[str, ...]  # kinds of accelerations that are not known
 
     @property
     def path(self) -> Path:

@@ -52,8 +52,7 @@ class Aggregation(ABC):
     confidence: Array | None = None
     """The confidence [y, x], 0 to 1, of the last map; None if it is judged by `evidence`."""
 
-    variance: Array | None = None
-    """The variance of the disparity [y, x], (pixels per view step)², with `confidence`."""
+    variance: Array | None = None  # the variance of the disparity [y, x], (pixels per view step)², with `confidence`
 
     @abstractmethod
     def __call__(self, swept: Swept, disparity_out: Array) -> None:
