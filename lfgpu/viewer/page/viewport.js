@@ -38,8 +38,8 @@ export class Viewport {
   place(picture) {
     const scale = this.#scale(picture), [height, width] = this.size, { canvas } = picture;
     const along = (room, side, centre) => {
-      const free = room - side * scale;
-      return Math.round(free >= 0 ? free / 2 : Math.min(0, Math.max(free, room / 2 - centre * scale)));
+      const free = room - side * scale, least = 1e-6; // halves of pixels are rounded to one side, whatever the arithmetic did
+      return Math.round((free >= 0 ? free / 2 : Math.min(0, Math.max(free, room / 2 - centre * scale))) + least);
     };
     return {
       scale, width: width * scale, height: height * scale,
