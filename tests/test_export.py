@@ -81,7 +81,7 @@ def replayed(program: Path, *arguments: Path | str) -> subprocess.CompletedProce
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("config", ["accurate", "fast"])
+@pytest.mark.parametrize("config", ["accurate", "fast", "learned", "surest"])
 def test_same_bits_without_python(program: Path, tmp_path: Path, config: str) -> None:
     """Each frame starts from the map before, but the first one and the one of another scene."""
     threads = get_threads()
