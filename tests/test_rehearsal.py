@@ -1,14 +1,16 @@
 """Compiling and loading kernels is timed by itself: stages take what they take."""
 
+import threading
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from lfgpu.kernels.warp import threads
 
 from lfgpu import scenes
-from lfgpu._backends import load
+from lfgpu._backends import load, open_device
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Work
@@ -82,6 +84,47 @@ def test_a_rehearsal_leaves_no_trace_in_the_map() -> None:
             rehearsal._known.clear()
         maps.append(estimate_depth(lf, config="accurate", disparity_range=RANGE, device="cpu").disparity)
     np.testing.assert_array_equal(*maps)
+
+
+def test_a_rehearsal_loads_all_kernels_at_once_and_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads: list[str] = []
+    from_cache = threads.from_cache
+
+    def watched(start: Callable[[], object], module: Any, *where: Any) -> None:
+        if not threads.is_preparing():
+            loads.append(threading.current_thread().name)
+        from_cache(start, module, *where)
+
+    monkeypatch.setattr(threads, "_loaded", set())
+    monkeypatch.setattr(rehearsal, "_known", set())
+    lf, place = a_light_field(), open_device(device="cpu")
+    made = pipeline.DepthPipeline(lf, config="fast", disparity_range=RANGE, device="cpu")
+    loaded = set(threads._loaded)
+    made.estimate()
+    assert threads._loaded == loaded
+    monkeypatch.setattr(threads, "_loaded", set())
+    monkeypatch.setattr(threads, "from_cache", watched)
+    rehearsal._known.clear()
+    rehearsal.Rehearsal(made.method, lf, place).run(made.measured)
+    assert len(loads) == len(threads._loaded) > 20
+    assert all(name.startswith("lfgpu-compiling") for name in loads)
+
+
+def test_prepared_work_is_still_to_be_done(target: Any) -> None:
+    kernels, device = target.kernels, target.device
+    field, calls = kernels.zeros((4, 5), device), []
+    go_on = kernels.scalar(1.0, device)
+
+    def work() -> None:
+        calls.append(1)
+        kernels.fill(3.0, field)
+        kernels.repeat(lambda: kernels.axpby(1.0, go_on, -1.0, go_on, go_on), go_on, 2)
+
+    kernels.prepare(work, device)
+    assert calls == [1]
+    kernels.upload(np.zeros((4, 5), np.float32), field)
+    kernels.fill(3.0, field)
+    np.testing.assert_array_equal(kernels.numpy(field), 3.0)
 
 
 def test_views_without_anything_in_their_middle_can_be_estimated(compiled: set[str]) -> None:

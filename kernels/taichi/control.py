@@ -29,3 +29,7 @@ def is_deterministic(device: str) -> bool:
 
 def kernel_cache() -> str | None:
     return str(impl.default_cfg().offline_cache_file_path)
+
+
+def prepare(work: Callable[[], None], device: str) -> None:
+    work()

@@ -7,7 +7,7 @@ from .alignment import alignment
 from .boundaries import refine_boundaries
 from .confidence import evidence, judge, line_mean, unevenness
 from .conjugate import conjugate_step
-from .control import asking, capture, is_deterministic, kernel_cache, repeat
+from .control import asking, capture, is_deterministic, kernel_cache, prepare, repeat
 from .convolution import convolution
 from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .edges import edge_weights

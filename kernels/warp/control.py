@@ -7,9 +7,9 @@ import warp as wp
 
 from .asking import alone, asking
 from .memory import number, start
-from .threads import launch, once
+from .threads import is_preparing, launch, once, prepare
 
-__all__ = ["asking", "capture", "is_deterministic", "kernel_cache", "repeat"]
+__all__ = ["asking", "capture", "is_deterministic", "kernel_cache", "prepare", "repeat"]
 
 wp.set_module_options({"enable_backward": False})
 
@@ -32,6 +32,9 @@ def _counters(pointer: int, device: str) -> tuple[Any, Any]:
 
 def repeat(body: Callable[[], None], go_on: Any, most: int) -> None:
     device = go_on.device
+    if is_preparing():
+        body()
+        return
     count, more = _counters(go_on.ptr, device.alias)
     if not device.is_capturing:
         for _ in range(most):

@@ -31,8 +31,12 @@ def from_cache(start: Callable[[], object], module: Any, device: Any, block_dim:
     """Start what compiles a module or takes it from the cache; what is damaged there is compiled again.
 
     A crash leaves files that are cut short, which Warp finds; a disk flips bits, which only a processor would find.
+    While this thread prepares work (`prepare`), it is noted only.
     """
     variant = module, str(device), block_dim
+    if is_preparing():
+        _prepared.variants[variant] = None
+        return
     is_new = variant not in _loaded
     if is_new and not all(map(_is_whole, _files(module))):
         _forget(module)
@@ -49,6 +53,29 @@ def from_cache(start: Callable[[], object], module: Any, device: Any, block_dim:
             with suppress(OSError):  # others may use a cache that they may not write to
                 _seal(file)
         _loaded.add(variant)
+
+
+_prepared = threading.local()
+
+
+def is_preparing() -> bool:
+    """Tell whether this thread asks for work that is not done, so that its kernels are known."""
+    return getattr(_prepared, "variants", None) is not None
+
+
+def prepare(work: Callable[[], None], device: str) -> None:
+    _prepared.variants = variants = dict[tuple[Any, str, int | None], None]()
+    try:
+        work()
+    finally:
+        _prepared.variants = None
+
+    def load_one(variant: tuple[Any, str, int | None]) -> None:
+        module, place, block_dim = variant
+        from_cache(partial(wp.load_module, module, device=place, block_dim=block_dim), module, place, block_dim)
+
+    with LOADING, ThreadPoolExecutor(get_threads(), thread_name_prefix="lfgpu-compiling") as pool:
+        list(pool.map(load_one, [variant for variant in variants if variant not in _loaded]))
 
 
 def _forget(module: Any) -> bool:
@@ -134,6 +161,9 @@ def in_slices(device: Any, count: int, work: Callable[[int, int, int], None]) ->
     On a CPU `work` asks for nothing but launches: what is recorded of it runs them side by side.
     """
     cuts, threads = slices(device, count), get_threads()
+    if is_preparing():
+        work(0, *cuts[0])
+        return
     if len(cuts) == 1 or threads == 1:
         marks = len(cuts) > 1 and getattr(_marking, "on", False)
         for k, (first, last) in enumerate(cuts):

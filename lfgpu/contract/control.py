@@ -24,6 +24,12 @@ class Control(Protocol):
         enter it again.
         """
 
+    def prepare(self, work: Callable[[], None], device: str) -> None:
+        """Compile and load the kernels of the operations that `work` asks for, several at the same time if it can.
+
+        `work` is called once. Its operations may not be done: what they write is arbitrary.
+        """
+
     def repeat(self, body: Callable[[], None], go_on: Scalar, most: int) -> None:
         """Call `body` as long as `go_on` is not 0, which is looked at before each call, and at most `most` times.
 

@@ -11,16 +11,18 @@ from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Method
+from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.measured import Measured
 
 _SIDE = 32  # pixels of the part
+_RANGE = -1.0, 1.0  # pixels per view step: any will do
 
 _known: set[tuple[object, ...]] = set()
 _lock = threading.Lock()
 
 
 class Rehearsal:
-    """Method on the middle of the views of a light field; its results are thrown away.
+    """Method on the middle of the views of a light field; what it computes, if anything, is thrown away.
 
     Kernels are compiled when they are first used, which takes seconds to a minute, and kept on the disk. Which ones are
     used depends on the method, the stored type, channels, number and masks of the views, and a little on the range.
@@ -38,9 +40,16 @@ class Rehearsal:
 
     def measure(self, disparity_range: tuple[float, float] | None) -> None:
         """Load the kernels that find the range and the noise."""
-        if self._is_new("found" if disparity_range is None else "given"):
-            with suppress(LightFieldError):  # so little of the views may show nothing
-                self._method.measure(self._lf, self._device, disparity_range=disparity_range)
+        if not self._is_new("found" if disparity_range is None else "given"):
+            return
+
+        def measure() -> None:
+            if disparity_range is None:
+                with suppress(LightFieldError):  # so little of the views may show nothing
+                    find_disparity_range(self._lf, self._device)
+            self._method.measured(self._lf, disparity_range or _RANGE, self._device)
+
+        self._device.kernels.prepare(measure, self._device.name)
 
     def run(self, measured: Measured) -> None:
         """Load the kernels of the stages; waits for the device."""
@@ -48,9 +57,13 @@ class Rehearsal:
             return
         views = self._device.image(self._lf.views)
         waited_for = self._device.scalar(0.0)
-        with suppress(LightFieldError):
-            for work in self._method.plan(self._lf.layout, measured, self._device).stages(views).values():
-                work(None)
+
+        def follow() -> None:
+            with suppress(LightFieldError):
+                for work in self._method.plan(self._lf.layout, measured, self._device).stages(views).values():
+                    work(None)
+
+        self._device.kernels.prepare(follow, self._device.name)
         self._device.kernels.number(waited_for)
 
     def _is_new(self, part: str) -> bool:

@@ -224,9 +224,12 @@ def test_views_and_maps_have_one_scale_and_dividers_move(browser: Any, viewer: V
     assert page.tab.locator("#right").bounding_box()["width"] == pytest.approx(before + 122, abs=6)
     page.tab.dblclick(".gutter[data-name=aside]")
     assert page.tab.locator("#settings").bounding_box()["width"] < 5
+    among, least = page.place("map")[2], 0.75 * (height - 120) / SIZE[0]
     page.tab.click("#alone")
     page.shown("map", "disparity")
     assert page.tab.locator("#right").bounding_box()["width"] > width - 20
+    page.moved("map", lambda place: place[2] > max(among, least), "alone, the map is larger and fills the pane")
+    assert page.tab.evaluate("(e => e.scrollWidth <= e.clientWidth)(document.getElementById('results'))")
     page.tab.click("#plot-tabs [data-value='']")
     until(lambda: not page.tab.locator("#histogram").is_visible(), "the distribution is folded", page.tab)
     assert page.tab.evaluate("document.documentElement.scrollWidth") <= width

@@ -258,7 +258,7 @@ function showPlot() {
   const known = isCosts && ui.costs, { found, uncertainty } = known || {}, tested = ui.tested === null ? [] : [{ at: ui.tested, dashed: true }];
   return plot.show(known ? {
     key: `costs ${known.key} ${ui.tested ?? ""}`, x: known.disparities, unit: "disparity, px",
-    lines: [{ label: "difference to all views, of 255", values: known.mean, faint: true }, { label: "to the better half", values: known.best }],
+    lines: [{ label: "all views, of 255", values: known.mean, faint: true }, { label: "better half", values: known.best }],
     marks: [...(found === null ? [] : [{ at: found }]), ...tested], band: found !== null && uncertainty ? [found - uncertainty, found + uncertainty] : null,
   } : null);
 }
@@ -310,7 +310,7 @@ function drawPreview(context, { scale: size, ...place }, { data, shape: [height,
 
 // --- where things stand ---
 
-const GAP = 6, BAR = 68, LEAST_PLOT = 132; // pixels
+const GAP = 6, BAR = 68, LEAST_PLOT = 132, LEAST_BESIDE = 480; // pixels
 const BEYOND = 0.12; // of a range: how much more the distribution shows on either side
 
 const outer = (box, ...except) => [...box.children].filter((child) => child !== box && !except.includes(child)).reduce((sum, child) => sum + child.offsetHeight, 0);
@@ -328,21 +328,24 @@ function roomForViews() {
   return { across, down, row, column, scale: Math.max(0.01, Math.min((across - column) / width, (down - row) / height)) };
 }
 
-/** Room for some maps, and the scale at which they fit. */
-function roomForMaps(count) {
+/** Room for some maps, and the scale at which they fit; one that is alone may have what belongs to it beside it. */
+function roomForMaps(count, isAlone) {
   const box = $("maps"), pane = box.parentElement;
   if (!box.offsetParent || !state?.size) return null;
-  const others = outer(pane, box, $("plots"));
+  const others = outer(pane, box, $("plots")), bar = pane.firstElementChild.offsetHeight;
   const below = pane.clientHeight > 480 && ui.plot && count === 1 ? LEAST_PLOT : 30;
-  const [height, width] = state.size, across = box.clientWidth - BAR - GAP, down = pane.clientHeight - others - below - 2 * GAP;
+  const [height, width] = state.size, margins = parseFloat(getComputedStyle(box).marginLeft) + parseFloat(getComputedStyle(box).marginRight);
+  const across = pane.clientWidth - margins - BAR - GAP, down = pane.clientHeight - others - below - 2 * GAP;
   const fit = (columns, rows) => Math.min((across - (columns - 1) * GAP) / columns / width, (down - (rows - 1) * GAP) / rows / height);
   const best = [1, 2, 3, 4].map((columns) => [columns, Math.ceil(count / columns)]).sort((a, b) => fit(...b) - fit(...a))[0];
-  return { columns: best[0], rows: best[1], scale: Math.max(0.01, fit(...best)) };
+  const beside = Math.min((across - LEAST_BESIDE) / width, (pane.clientHeight - bar - 2 * GAP) / height), isBeside = isAlone && count === 1 && beside > fit(...best);
+  return { columns: best[0], rows: best[1], scale: Math.max(0.01, isBeside ? beside : fit(...best)), isBeside };
 }
 
 /** View and map at the same scale, as large as they can be. */
 function layout() {
-  const isSide = mapsBeside().length > 1, views = roomForViews(), maps = roomForMaps(isSide ? mapsBeside().length : 1);
+  const views = roomForViews(), maps = roomForMaps(mapsBeside().length, !views);
+  $("right").classList.toggle("beside", Boolean(maps?.isBeside));
   const common = views && maps ? Math.min(views.scale, maps.scale) : (views ?? maps)?.scale;
   if (views) layoutViews(views, common);
   if (maps) layoutMaps(maps, common);
@@ -462,7 +465,7 @@ function showMaps() {
   const painted = fixed.quantities[ui.paint], shares = (minus && ui.difference?.shares) || null, isAlone = one?.isTruth && state.results.every(({ isTruth }) => isTruth);
   const of = one && ` of ${named(ui.result, ui.stage)}`, [what, words] = !one ? ["", ""]
     : ui.right === "space" ? [ui.mesh ? "Surface" : "Points", painted ? `${of}; colour: ${inUnits(painted).join("").toLowerCase()}` : of]
-    : shares ? ["Difference", shares.map(([threshold, share]) => ` ${short(share)} % > ${threshold}`).join(",")]
+    : shares ? ["Difference", shares.map(([threshold, share]) => ` ${Number(share.toPrecision(2))} % > ${threshold}`).join(",")]
     : [first ? quantity.label : `No ${quantity.label.toLowerCase()}`, of + inUnits(quantity)[1] + (isAlone ? "; no estimate yet" : one.earlier ? "; of another frame" : "")];
   $("right-title").replaceChildren(element("b", { textContent: what }), words);
   $("right-title").title = [what + words, hint].join("\n");
@@ -553,6 +556,7 @@ function showParts() {
   $("space").hidden = $("space-section").hidden = !isSpace;
   const part = document.body.dataset.show;
   for (const button of document.querySelectorAll("nav button")) button.setAttribute("aria-current", button.dataset.value === part);
+  layout();
 }
 
 function showReadout() {

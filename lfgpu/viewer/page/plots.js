@@ -39,7 +39,7 @@ export class Plot {
     this.box.dataset.drawn = "";
     if (!wanted || width < 80 || height < 50) return;
     const axis = { stroke: ink("--muted"), font: "12px system-ui, sans-serif", grid: { stroke: ink("--line"), width: 1 }, ticks: { stroke: ink("--line"), width: 1, size: 4 } };
-    const hasLegend = height > LEGEND && !this.ranged, said = (digits) => (_, value) => (value === null ? "–" : value.toPrecision(digits));
+    const hasLegend = height > LEGEND && !this.ranged, said = (digits) => (_, value) => (value === null ? "" : value.toPrecision(digits));
     const series = wanted.lines.map(({ label, faint, fills }) => ({
       label, stroke: ink(faint ? "--muted" : "--brand"), width: faint ? 1 : 2, points: { show: false }, value: said(3),
       ...(fills ? { paths: uPlot.paths.bars({ size: [1, 100], disp: { fill: { unit: 3, values: () => fills }, stroke: { unit: 3, values: () => fills.map(() => ink("--muted")) } } }) } : {}),
