@@ -13,7 +13,7 @@ from taichi.lang.util import to_numpy_type
 
 from lfgpu.errors import BackendError
 
-from .runtime import alone, double, most_bytes, once, start
+from .runtime import alone, double, most_bytes, once, run, start
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels
@@ -136,8 +136,27 @@ def scalar(value: float, device: str) -> DeviceArray:
 
 
 def upload(values: NDArray[Any], array_out: DeviceArray, *, chosen: Sequence[int] | None = None) -> None:
-    taken = np.asarray(values) if chosen is None else np.asarray(values)[list(chosen)]
-    _filled(array_out, taken.astype(np.float32, copy=False) if array_out.channels is None else taken)
+    given = np.asarray(values)
+    if array_out.channels is None or array_out.channels > _COLOURS:
+        taken = given if chosen is None else given[list(chosen)]
+        _filled(array_out, taken.astype(to_numpy_type(array_out.scalar), copy=False))
+        return
+    indices, first = np.arange(len(given)) if chosen is None else np.array(chosen), 0
+    for some in np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1):  # those that lie together
+        part = np.ascontiguousarray(given[some[0] : some[-1] + 1], to_numpy_type(array_out.scalar))
+        pixels = part.reshape(-1, array_out.channels)
+        run(_copy_kernel(array_out.channels, array_out.scalar), pixels, first, array_out.values)
+        first += len(pixels)
+
+
+@once
+def _copy_kernel(channels: int, stored: Any) -> Any:
+    @ti.kernel
+    def copy_kernel(values: flat(stored, channels), first: int, image_out: flat(stored, channels)):
+        for p in range(values.shape[0]):
+            image_out[first + p] = values[p]
+
+    return copy_kernel
 
 
 def shared(field: DeviceArray) -> Any:

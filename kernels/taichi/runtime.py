@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 
 import taichi as ti
 from taichi.lang import impl
+from taichi.lang._ndarray import Ndarray
 from taichi.types import primitive_types
 from taichi.types.ndarray_type import NdarrayType
 
@@ -99,7 +100,7 @@ def _prepare(primal: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
         wanted = argument.annotation
         if place in primal.template_slot_locations:
             continue
-        if isinstance(wanted, NdarrayType):
+        if isinstance(wanted, NdarrayType) and isinstance(arguments[place], Ndarray):
             setter = "set_arg_ndarray"
         elif id(wanted) in primitive_types.real_type_ids:
             setter = "set_arg_float"
