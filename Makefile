@@ -20,9 +20,9 @@ test-all: test
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2
 	$(BIN)/python tests/faults.py
 
-# All operations and whole estimates by Taichi on a Vulkan driver: a GPU's, or Mesa's, which needs no GPU.
+# Operations, whole estimates, tiles, batches and memory by Taichi on a Vulkan driver: a GPU's, or Mesa's without one.
 test-vulkan: .venv/develop
-	$(PYTEST) tests/kernels/test_matrix.py tests/test_pipelines.py tests/test_depth_pipeline.py \
+	$(PYTEST) tests/kernels/test_matrix.py tests/test_pipelines.py tests/test_depth_pipeline.py tests/test_vulkan.py \
 		--backend taichi --device vulkan
 
 # The least versions of all packages that pyproject.toml allows, and what reads, writes and computes with them. They have

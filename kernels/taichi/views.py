@@ -15,7 +15,7 @@ from .runtime import on_cpu, once, run, start
 
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
 _LEAST_SHARE = 1e-6  # of a Gaussian that must lie on valid pixels
-_TOGETHER = 16  # views at a time on a GPU, one on a CPU
+_TOGETHER = 8  # views at a time on a GPU, one on a CPU
 _BLOCK = 16  # values of a Gaussian sum at a time on a CPU, which its vector units add up together
 
 

@@ -1,0 +1,140 @@
+"""Taichi on a GPU beyond single operations: memory, tiles, batches. `make test-vulkan` runs it on a Vulkan driver."""
+
+from __future__ import annotations
+
+import gc
+import re
+import weakref
+from math import prod
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from lfgpu import DepthPipeline, LightField, estimate_depth, scenes
+from lfgpu.cli import app
+from lfgpu.io import read_map, write_hci
+from lfgpu.methods import method_of, preset
+from lfgpu.methods.measured import Measured
+
+ti = pytest.importorskip("taichi")
+to_numpy_type = pytest.importorskip("taichi.lang.util").to_numpy_type
+RANGE = (-0.8, 0.8)
+QUICK = preset("fast").with_values({"prior.window": 3, "sweep.step": 1.0, "sweep.noise": 0.01})
+
+
+@pytest.fixture
+def gpu(pytestconfig: pytest.Config) -> dict[str, str]:
+    chosen = {name: pytestconfig.getoption(f"--{name}") for name in ("backend", "device")}
+    if chosen["backend"] != "taichi" or chosen["device"] in (None, "cpu"):
+        pytest.skip("for Taichi on a GPU: --backend taichi --device vulkan")
+    return chosen
+
+
+class Arrays:
+    """Bytes of all arrays of Taichi: now, and at most so far."""
+
+    def __init__(self) -> None:
+        self.now = self.most = 0
+
+    def counted(self, array: Any) -> Any:
+        size = prod(array.shape) * prod(array.element_shape) * np.dtype(to_numpy_type(array.dtype)).itemsize
+        self._add(size)
+        weakref.finalize(array, self._add, -size)
+        return array
+
+    def _add(self, size: int) -> None:
+        self.now += size
+        self.most = max(self.most, self.now)
+
+
+@pytest.fixture
+def arrays(monkeypatch: pytest.MonkeyPatch) -> Arrays:
+    gc.collect()
+    counting, field, vectors = Arrays(), ti.ndarray, ti.Vector.ndarray
+    monkeypatch.setattr(ti, "ndarray", lambda *given: counting.counted(field(*given)))
+    monkeypatch.setattr(ti.Vector, "ndarray", lambda *given: counting.counted(vectors(*given)))
+    return counting
+
+
+@pytest.fixture(scope="module")
+def strip() -> LightField:
+    return scenes.make("boxes", grid=(3, 3), size=(48, 400), disparity_range=(-0.7, 0.7), noise=0.01, seed=5)
+
+
+def test_tiles_give_the_same_map_in_the_memory_that_is_given(
+    gpu: dict[str, str], strip: LightField, arrays: Arrays
+) -> None:
+    whole = estimate_depth(strip, config=QUICK, disparity_range=RANGE, **gpu)  # type: ignore[arg-type]
+    method = method_of(QUICK)
+    measured = method.given(strip.layout, RANGE)
+    assert measured is not None
+    needed = method.footprint(strip.layout, measured, on_gpu=True)
+    across = method.halo(strip.layout, measured)[1]
+    limit = needed.bytes(48, 200 + across)
+    arrays.most = arrays.now = 0
+    found = estimate_depth(strip, config=QUICK, disparity_range=RANGE, max_memory=limit, **gpu)  # type: ignore[arg-type]
+    assert re.match(r"[23] tiles of 3\d\d x 48 pixels", found.status)
+    assert np.abs(found.disparity - whole.disparity).max() < 1e-3
+    assert arrays.most < limit - needed.besides
+
+
+@pytest.mark.parametrize("name", ["fast", "accurate", "paper", "learned"])
+def test_memory_is_as_foreseen(gpu: dict[str, str], name: Any, arrays: Arrays, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of a run that launches nothing: kernels take no memory."""
+    from lfgpu.kernels.taichi import runtime
+
+    class Nothing(dict[Any, Any]):
+        def __contains__(self, key: object) -> bool:
+            return True
+
+        def __getitem__(self, key: object) -> Any:
+            return lambda *arguments: None
+
+    monkeypatch.setattr(runtime, "_prepared", Nothing())
+    views = np.zeros((5, 5, 448, 672, 3), np.uint8)
+    lf, measured, method = LightField.from_grid(views), Measured((-1.5, 1.5), 0.01), method_of(name)
+    used = lf.subset(method.used_views(lf.layout))
+    pipeline = DepthPipeline(used, config=name, measured=measured, **gpu)  # type: ignore[arg-type]
+    pipeline.run()
+    needed = method.footprint(used.layout, measured, on_gpu=True)
+    foreseen = needed.bytes(448, 672) - needed.besides
+    assert 0.75 * foreseen < arrays.most < 1.05 * foreseen
+
+
+@pytest.mark.parametrize("volumes", [0, 1, 3])
+def test_directions_come_in_batches(gpu: dict[str, str], volumes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever fits beside the sums, they are added up in the same order."""
+    from lfgpu.kernels.taichi import semi_global
+
+    from lfgpu._backends import open_device
+
+    device, rng = open_device(**gpu), np.random.default_rng(3)  # type: ignore[arg-type]
+    volume, image = device.field(rng.random((5, 13, 21))), device.image(rng.random((13, 21, 3)).astype(np.float32))
+
+    def sums() -> Any:
+        out = device.zeros((5, 13, 21))
+        scale = device.field(np.ones((13, 21)))
+        device.kernels.semi_global(volume, image, scale, small=0.02, large=0.1, contrast=0.2, sum_out=out)
+        return device.kernels.numpy(out)
+
+    at_once = sums()
+    monkeypatch.setattr(semi_global, "_SPARE", 4 * volumes * 5 * 13 * 21)
+    np.testing.assert_array_equal(sums(), at_once)
+
+
+def test_a_batch_runs_there(gpu: dict[str, str], tmp_path: Path) -> None:
+    pytest.importorskip("distributed")
+    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48), disparity_range=(-0.7, 0.7), seed=1)
+    for name in ("a", "b"):
+        write_hci(lf, tmp_path / "in" / name)
+    places = [f"--{key}={value}" for key, value in gpu.items()]
+    options = ["--preset", "fast", "--disparity-range", "-0.8,0.8", *places, "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, ["batch", str(tmp_path / "in"), *options])
+    assert done.exit_code == 0, done.output
+    wanted = estimate_depth(lf, config="fast", disparity_range=RANGE, **gpu).disparity  # type: ignore[arg-type]
+    for name in ("a", "b"):
+        found = next((tmp_path / "out" / name).glob("disparity.*"))
+        np.testing.assert_allclose(read_map(found), wanted, atol=1e-4)
