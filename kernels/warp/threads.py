@@ -70,12 +70,18 @@ def prepare(work: Callable[[], None], device: str) -> None:
     finally:
         _prepared.variants = None
 
-    def load_one(variant: tuple[Any, str, int | None]) -> None:
-        module, place, block_dim = variant
-        from_cache(partial(wp.load_module, module, device=place, block_dim=block_dim), module, place, block_dim)
+    of_modules: dict[Any, list[tuple[str, int | None]]] = {}
+    for module, place, block_dim in variants:
+        if (module, place, block_dim) not in _loaded:
+            of_modules.setdefault(module, []).append((place, block_dim))
+
+    def load_one(module: Any) -> None:
+        for place, block_dim in of_modules[module]:
+            start = partial(wp.load_module, module, device=place, block_dim=block_dim or 0)  # 0: what launches have
+            from_cache(start, module, place, block_dim)
 
     with LOADING, ThreadPoolExecutor(get_threads(), thread_name_prefix="lfgpu-compiling") as pool:
-        list(pool.map(load_one, [variant for variant in variants if variant not in _loaded]))
+        list(pool.map(load_one, of_modules))
 
 
 def _forget(module: Any) -> bool:
