@@ -18,7 +18,7 @@ from .edges import weigh_edges
 from .memory import pixel_type
 from .native_code import kernel, names_of
 from .splat import as_offsets
-from .threads import launch_rows, once, with_wide_vectors
+from .threads import launch_rows, once
 
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
@@ -58,9 +58,7 @@ def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNa
     integers = {2: "unsigned short", 4: "unsigned", 8: "unsigned long long"}
     numbers["WORD"] = integers[pad * bytes_] if is_integer else f"struct {{ {names['KEPT']} c[{pad}]; }}"
     numbers["IS_FLOAT"] = int(compact is wp.float32)
-    align = with_wide_vectors(
-        kernel("alignment.h", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
-    )
+    align = kernel("alignment.h", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
     pack = kernel("alignment.h", "pack", module=module, Stored=pixel_type(channels, stored), Kept=kept, **numbers)
     return SimpleNamespace(pack=pack, align=align)
 

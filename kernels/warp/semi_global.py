@@ -10,7 +10,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, in_slices, launch, load, once, slices, with_wide_vectors
+from .threads import check_size, in_slices, launch, load, once, slices
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
 _BLOCK = 32  # paths that a CPU follows together
@@ -29,9 +29,7 @@ _STEPS = dict(zip(("DOWNWARDS", "SIDEWAYS"), zip(*_DIRECTIONS, strict=True), str
 def _blocks_kernel(channels: int) -> Any:
     numbers = {"CHANNELS": channels, "BLOCK": _BLOCK, "CHUNK": _CHUNK}
     module = f"lfgpu_semi_global_{channels}"
-    return with_wide_vectors(
-        kernel("semi_global.h", "follow_blocks", module=module, Pixel=pixel_type(channels), **numbers)
-    )
+    return kernel("semi_global.h", "follow_blocks", module=module, Pixel=pixel_type(channels), **numbers)
 
 
 @once
