@@ -70,7 +70,7 @@ def film(page: Any) -> list[Image.Image]:
     page.mouse.move(SIZE[0] * 0.8, SIZE[1] * 0.4)
     page.mouse.down()
     for turn in np.linspace(0, 2 * np.pi, TURNS):
-        page.mouse.move(SIZE[0] * (0.8 + 0.03 * np.sin(turn)), SIZE[1] * (0.4 + 0.02 * np.cos(turn)))
+        page.mouse.move(SIZE[0] * (0.8 + 0.014 * np.sin(turn)), SIZE[1] * (0.4 + 0.012 * np.cos(turn)))
         page.wait_for_timeout(2 * _STEP)
         frames.append(seen(page))
     page.mouse.up()
@@ -88,7 +88,7 @@ def main(folder: str) -> None:
         picture.save(DOCS / "viewer.png", optimize=True)
         first, *others = (frame.resize(SHOWN, Image.Resampling.LANCZOS) for frame in film(page))
     first.save(
-        DOCS / "viewer.webp", save_all=True, append_images=others, duration=2 * _STEP, loop=0, quality=55, method=6
+        DOCS / "viewer.webp", save_all=True, append_images=others, duration=2 * _STEP, loop=0, quality=46, method=6
     )
 
 
