@@ -40,6 +40,7 @@ def summing() -> SimpleNamespace:
         total = term
         if ti.static(not cpu):
             terms = ti.simt.block.SharedArray((BLOCK,), real)
+            ti.simt.block.sync()  # a block may take several parts
             terms[thread] = term  # `+=` would be atomic
             for k in ti.static(range(1, BLOCK.bit_length())):
                 ti.simt.block.sync()
