@@ -37,7 +37,7 @@ lowest:
 		tests/io/test_every_format.py tests/io/test_images.py tests/io/test_map_formats.py tests/io/test_old_hci.py \
 		tests/calibration/test_calibration_formats.py tests/test_batch_items.py tests/test_batch_manifest.py \
 		tests/test_stream.py tests/test_stream_frames.py tests/test_doctor.py \
-		tests/test_labelled.py tests/viewer/test_guard.py
+		tests/test_geometry.py tests/viewer/test_guard.py
 
 # What needs PyTorch: the generator, the network, and `lfgpu train` from a light field to weights.
 training:

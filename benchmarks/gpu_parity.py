@@ -28,8 +28,8 @@ ROOT = Path(__file__).parents[1]
 FILES = (
     "tests/kernels/test_matrix.py",
     "tests/kernels/test_energy.py",
-    "tests/kernels/test_occlusion_reference.py",
-    "tests/kernels/test_smoothing.py",
+    "tests/kernels/test_sweep_reference.py",
+    "tests/kernels/test_reference_of_views.py",
     "tests/test_printed_equations.py",
     "tests/test_pipelines.py",
     "tests/test_depth_pipeline.py",

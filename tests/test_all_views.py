@@ -113,25 +113,18 @@ def test_the_true_maps_agree() -> None:
     assert np.quantile(found, 0.99) < 0.01
 
 
-def test_confidence_tells_what_is_wrong() -> None:
+def test_depths_confidence_and_the_reference_are_those_of_one_estimate() -> None:
     result, inner = estimated("boxes"), np.s_[:, 15:-15, 15:-15]
     wrong, confidence = np.abs(result.disparities - truths("boxes"))[inner] > 0.07, result.confidences[inner]
     assert ((confidence >= 0) & (confidence <= 1)).all()
     low, high = np.quantile(confidence, (0.3, 0.7))
     assert wrong[confidence >= high].mean() < 0.2 * wrong[confidence <= low].mean()
-
-
-def test_the_reference_is_that_of_estimate_depth() -> None:
     lf, result = scene("planes"), estimated("planes")
     np.testing.assert_array_equal(result.reference.disparity, estimate_depth(lf, disparity_range=RANGE).disparity)
     assert result.keys[0] == lf.reference_index
     assert result.keys == (12, 0, 4, 20, 24, 2, 10, 14, 22)
     assert set(result.timings) == {"keys", "join", "total"}
-
-
-def test_depths_are_those_of_the_geometry() -> None:
     result = estimated("planes")
-    assert result.geometry is not None
     np.testing.assert_allclose(result.depths, result.geometry.depth(result.disparities), rtol=1e-6)
 
 
@@ -211,10 +204,23 @@ def joined(
     return disparity[1].tolist(), confidence[1].tolist()
 
 
-def test_what_is_near_moves_against_the_camera_and_uncovers_what_is_behind() -> None:
+def test_what_keys_see_decides() -> None:
     disparity, confidence = joined({(0.0, 0.0): [0, 0, 0, 0, 1, 1, 0, 0, 0]}, (2.0, 0.0))
     np.testing.assert_array_equal(disparity, [0, 0, 1, 1, np.nan, np.nan, 0, 0, 0])
     np.testing.assert_allclose(confidence, [0.8, 0.8, 0.8, 0.8, 0, 0, 0.8, 0.8, 0.8])
+    # Where only the near thing lands, as the other key has nothing there that it knows.
+    valid = np.ones((2, 3, 5), np.bool_)
+    valid[1, :, 2] = False
+    maps = {(0.0, 0.0): [0.0, 0, 1, 0, 0], (2.0, 0.0): [0.0, 0, 0, 0, 0]}
+    disparity, confidence = joined(maps, (0.0, 0.0), valid=valid)
+    assert disparity[2] == 1
+    assert confidence[2] == pytest.approx(0.4)  # at column 0, the other key sees through it
+    assert confidence[1] == pytest.approx(0.8)
+    valid = np.ones((1, 3, 5), np.bool_)
+    valid[0, :, 2] = False
+    maps = {(0.0, 0.0): [0.0, 0, 1, 0, 0]}
+    np.testing.assert_array_equal(joined(maps, (0.0, 0.0))[0], [0, 0, 1, 0, 0])
+    np.testing.assert_array_equal(joined(maps, (0.0, 0.0), valid=valid)[0], [0, 0, np.nan, 0, 0])
 
 
 @pytest.mark.parametrize(("near", "winner"), [((0, 1, 2), 0), ((0, 1, 2, -1), 1)])
@@ -225,37 +231,15 @@ def test_keys_that_see_through_have_half_a_vote_against(near: tuple[int, ...], w
     assert joined(maps, (0.0, 0.0))[0][4] == winner
 
 
-def test_confidence_falls_with_the_share_of_keys_that_see_through() -> None:
-    """Where only the near thing lands, as the other key has nothing there that it knows."""
-    valid = np.ones((2, 3, 5), np.bool_)
-    valid[1, :, 2] = False
-    maps = {(0.0, 0.0): [0.0, 0, 1, 0, 0], (2.0, 0.0): [0.0, 0, 0, 0, 0]}
-    disparity, confidence = joined(maps, (0.0, 0.0), valid=valid)
-    assert disparity[2] == 1
-    assert confidence[2] == pytest.approx(0.4)  # at column 0, the other key sees through it
-    assert confidence[1] == pytest.approx(0.8)
-
-
-def test_masked_pixels_of_a_key_neither_land_nor_vote() -> None:
-    valid = np.ones((1, 3, 5), np.bool_)
-    valid[0, :, 2] = False
-    maps = {(0.0, 0.0): [0.0, 0, 1, 0, 0]}
-    np.testing.assert_array_equal(joined(maps, (0.0, 0.0))[0], [0, 0, 1, 0, 0])
-    np.testing.assert_array_equal(joined(maps, (0.0, 0.0), valid=valid)[0], [0, 0, np.nan, 0, 0])
-
-
 @pytest.mark.parametrize("keys", [0, -1, 2.5, True, "nine"])
 def test_keys_are_a_number_of_views(keys: Any) -> None:
     with pytest.raises(LightFieldError, match="keys must be an integer >= 1"):
         estimate_all_views(scene("planes"), keys=keys)
 
 
-def test_wrong_ranges_are_refused_as_by_estimate_depth() -> None:
+def test_wrong_ranges_and_views_that_see_nothing_are_refused() -> None:
     with pytest.raises(LightFieldError, match="low < high"):
         estimate_all_views(scene("planes"), disparity_range=(1.0, -1.0))
-
-
-def test_a_view_that_sees_nothing_of_the_others_is_named() -> None:
     lf = scenes.make("relief", grid=(3, 3), size=(32, 32), disparity_range=(0.5, 1.5))
     away = lf.positions.copy()
     away[8] = (500.0, 0.0)

@@ -7,8 +7,20 @@ FLOOR = {name: level for level, floor in enumerate(arrows.FLOORS) for name in fl
 KERNELS_MAY = {"contract", "errors", "threads", "vulkan", "kernels"}
 
 
-def test_every_room_stands_on_a_floor() -> None:
+def test_arrows_lead_down_and_in_no_circle() -> None:
     assert {arrows.room(module) for module in arrows.arrows()} == set(FLOOR)
+    assert arrows.circles() == []
+    between = arrows.between_rooms()
+    assert not [(a, b) for a, targets in between.items() for b in targets if a in between[b]]
+    assert arrows.between_rooms()["kernels"] <= KERNELS_MAY
+    for module, targets in arrows.arrows().items():
+        parts = module.split(".")
+        if parts[1] == "kernels" and len(parts) > 2:
+            assert {t.split(".")[2] for t in targets if t.startswith("lfgpu.kernels.")} <= {parts[2]}, module
+    for module in arrows.files():
+        for target, name in arrows.imported(module):
+            private = name.startswith("_") or any(part.startswith("_") for part in target.split(".")[2:])
+            assert not private or arrows.room(target) == arrows.room(module), f"{module} imports {target}.{name}"
 
 
 @pytest.mark.parametrize("name", sorted(FLOOR))
@@ -19,40 +31,10 @@ def test_no_arrow_leads_up(name: str) -> None:
                 assert FLOOR.get(arrows.room(target), -1) >= FLOOR[name], f"{module} imports {target}"
 
 
-def test_no_circle() -> None:
-    assert arrows.circles() == []
-
-
-def test_rooms_of_one_floor_do_not_import_each_other_both_ways() -> None:
-    between = arrows.between_rooms()
-    assert not [(a, b) for a, targets in between.items() for b in targets if a in between[b]]
-
-
-def test_kernels_import_the_contract_only() -> None:
-    assert arrows.between_rooms()["kernels"] <= KERNELS_MAY
-
-
-def test_backends_do_not_import_each_other() -> None:
-    for module, targets in arrows.arrows().items():
-        parts = module.split(".")
-        if parts[1] == "kernels" and len(parts) > 2:
-            assert {t.split(".")[2] for t in targets if t.startswith("lfgpu.kernels.")} <= {parts[2]}, module
-
-
-def test_private_names_stay_in_their_room() -> None:
-    for module in arrows.files():
-        for target, name in arrows.imported(module):
-            private = name.startswith("_") or any(part.startswith("_") for part in target.split(".")[2:])
-            assert not private or arrows.room(target) == arrows.room(module), f"{module} imports {target}.{name}"
-
-
-def test_arrows_see_what_is_there() -> None:
+def test_arrows_are_seen_and_drawn() -> None:
     """The derivation follows relative imports, imports inside functions and those for type checkers."""
     found = arrows.arrows()
     assert "lfgpu.kernels.warp.vector" in found["lfgpu.kernels.warp.backend"]
     assert "lfgpu.pipelines.estimate" in found["lfgpu.cli.options"]
     assert "lfgpu.methods.base" in found["lfgpu.methods"]
-
-
-def test_the_drawing_is_of_these_arrows() -> None:
     assert arrows.DRAWING.read_text(encoding="utf-8") == arrows.drawing(), "run: python tests/arrows.py"

@@ -1,21 +1,30 @@
-"""The seam between host and kernels: which backends there are, and what is said when one is not there."""
+"""The seam between host and kernels: backends, sentences for what is missing, and compiling that is timed by itself."""
 
 import builtins
 import importlib
 import importlib.metadata
 import importlib.util
+import threading
 from collections.abc import Callable
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import conftest
 import numpy as np
 import pytest
+from lfgpu.kernels.warp import threads
 
 from lfgpu import _backends, scenes
+from lfgpu._backends import load, open_device
 from lfgpu.contract import KernelSet
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError
+from lfgpu.methods import method_of
+from lfgpu.methods.base import Work
+from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.synthesis.config import SynthesisConfig
+from lfgpu.pipelines import pipeline, rehearsal
 from lfgpu.pipelines.estimate import estimate_depth
 
 
@@ -30,24 +39,17 @@ def machine_with(*devices: str) -> KernelSet:
     return cast(KernelSet, SimpleNamespace(name="some", devices=lambda: devices))
 
 
-def test_warp_is_the_default_and_the_reference_is_there() -> None:
+def test_backends_are_found_by_their_names(target: Any) -> None:
     backends = _backends.list_backends()
     assert backends[0] == _backends.DEFAULT == "warp"
     assert "reference" in backends
-
-
-def test_backends_have_the_name_under_which_they_are_asked_for(target: Any) -> None:
     assert _backends.load(target.backend).name == target.backend
-
-
-def test_the_reference_computes_in_double_and_others_in_single(target: Any) -> None:
     assert target.kernels.dtype is (np.float64 if target.backend == "reference" else np.float32)
-
-
-def test_an_unknown_backend_is_refused_with_those_that_there_are() -> None:
     with pytest.raises(BackendError) as error:
         _backends.load("fpga")
     assert str(error.value) == f"unknown backend 'fpga'; use one of {', '.join(_backends.list_backends())}."
+    for backend in _backends.list_backends():
+        assert importlib.util.find_spec(f"lfgpu.kernels.{backend}") is not None
 
 
 @pytest.mark.parametrize(("backend", "package"), list(_backends._PACKAGES.items()))
@@ -115,15 +117,12 @@ def test_one_backend_that_fails_hides_no_other(monkeypatch: pytest.MonkeyPatch) 
     assert warp.remedy == "pip install --force-reinstall warp-lang"
 
 
-def test_a_package_that_is_missing_has_no_version_and_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parts_that_are_missing_are_problems_with_a_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(_backends._PACKAGES, "fpga", "no-such-package")
     info = _backends.describe_backends()[-1]
     assert (info.name, info.version, info.devices) == ("fpga", None, ())
     assert info.problem == "cannot be loaded: No module named 'lfgpu.kernels.fpga'"
     assert info.remedy == "pip install no-such-package"
-
-
-def test_devices_that_cannot_be_listed_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     failing = SimpleNamespace(KERNELS=SimpleNamespace(devices=raising(RuntimeError("the driver is too old"))))
     monkeypatch.setattr(_backends.importlib, "import_module", lambda name: failing)
     info = _backends.describe_backends()[0]
@@ -139,11 +138,6 @@ def test_a_result_lists_the_package_of_its_backend(target: Any) -> None:
         lf, config=config, disparity_range=(-1.5, 1.5), backend=target.backend, device=target.device
     )
     assert result.versions.keys() == {"lfgpu", "numpy", "scipy", _backends.package_of(target.backend)}
-
-
-def test_every_backend_is_a_package_of_that_name() -> None:
-    for backend in _backends.list_backends():
-        assert importlib.util.find_spec(f"lfgpu.kernels.{backend}") is not None
 
 
 def test_loading_the_reference_does_not_load_warp(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -201,3 +195,122 @@ def test_a_device_that_is_not_there_is_refused_with_those_that_are(asked: str) -
     with pytest.raises(BackendError) as error:
         _backends.pick_device(machine_with("cpu"), asked)
     assert str(error.value) == f"backend 'some' finds no device {asked!r}; use one of cpu."
+
+
+COMPILING, WORKING = 100.0, 1.0
+RANGE = (-2.0, 2.0)
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """The stages that were compiled, as if nothing were yet: on a clock that only compiling and working move on."""
+    seconds, done, stages = [0.0], set[str](), MatchingPlan.stages
+    monkeypatch.setattr(rehearsal, "_known", set())
+    monkeypatch.setattr(pipeline, "perf_counter", lambda: seconds[0])
+
+    def timed(name: str, work: Work) -> Work:
+        def run(callback: Callable[[int, float], None] | None) -> None:
+            seconds[0] += WORKING + (0.0 if name in done else COMPILING)
+            done.add(name)
+            work(callback)
+
+        return run
+
+    def slow(self: MatchingPlan, views: Any) -> dict[str, Work]:
+        return {name: timed(name, work) for name, work in stages(self, views).items()}
+
+    monkeypatch.setattr(MatchingPlan, "stages", slow)
+    return done
+
+
+def a_light_field() -> LightField:
+    return scenes.make("relief", grid=(3, 3), size=(40, 48))
+
+
+def test_the_first_stage_is_not_charged_with_compiling(compiled: set[str]) -> None:
+    lf = a_light_field()
+    first = estimate_depth(lf, config="fast", disparity_range=RANGE).timings
+    stages = [stage.name for stage in method_of("fast").stages]
+    assert compiled == set(stages)
+    assert list(first) == ["compile", "measure", *stages, "total"]
+    assert {first[stage] for stage in stages} == {WORKING}
+    assert first["compile"] == len(stages) * (COMPILING + WORKING)
+    assert first["total"] == first["compile"] + first["measure"] + len(stages) * WORKING
+    again = estimate_depth(lf, config="fast", disparity_range=RANGE).timings
+    assert again["compile"] == 0
+    assert again["total"] == len(stages) * WORKING
+
+
+def test_what_came_before_the_first_run_is_no_part_of_the_second(compiled: set[str]) -> None:
+    made = pipeline.DepthPipeline(a_light_field(), config="fast", disparity_range=RANGE)
+    assert made.estimate().timings["compile"] > 0
+    again = made.estimate().timings
+    assert list(again) == [*(stage.name for stage in method_of("fast").stages), "total"]
+    assert again["total"] == (len(again) - 1) * WORKING
+
+
+def test_nothing_is_rehearsed_where_nothing_is_compiled(compiled: set[str]) -> None:
+    assert not load("reference").compiles
+    timings = estimate_depth(a_light_field(), config="fast", disparity_range=RANGE, backend="reference").timings
+    assert timings["compile"] == 0
+
+
+def test_a_rehearsal_leaves_no_trace_in_the_map() -> None:
+    lf = a_light_field()
+    maps = []
+    for known in (False, True):
+        if not known:
+            rehearsal._known.clear()
+        maps.append(estimate_depth(lf, config="accurate", disparity_range=RANGE, device="cpu").disparity)
+    np.testing.assert_array_equal(*maps)
+
+
+def test_a_rehearsal_loads_all_kernels_at_once_and_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    loads: list[str] = []
+    from_cache = threads.from_cache
+
+    def watched(start: Callable[[], object], module: Any, *where: Any) -> None:
+        if not threads.is_preparing():
+            loads.append(threading.current_thread().name)
+        from_cache(start, module, *where)
+
+    monkeypatch.setattr(threads, "_loaded", set())
+    monkeypatch.setattr(rehearsal, "_known", set())
+    lf, place = a_light_field(), open_device(device="cpu")
+    made = pipeline.DepthPipeline(lf, config="fast", disparity_range=RANGE, device="cpu")
+    loaded = set(threads._loaded)
+    made.estimate()
+    assert threads._loaded == loaded
+    monkeypatch.setattr(threads, "_loaded", set())
+    monkeypatch.setattr(threads, "from_cache", watched)
+    rehearsal._known.clear()
+    rehearsal.Rehearsal(made.method, lf, place).run(made.measured)
+    assert len(loads) == len(threads._loaded) > 20
+    assert all(name.startswith("lfgpu-compiling") for name in loads)
+
+
+def test_prepared_work_is_still_to_be_done(target: Any) -> None:
+    kernels, device = target.kernels, target.device
+    field, calls = kernels.zeros((4, 5), device), []
+    go_on = kernels.scalar(1.0, device)
+
+    def work() -> None:
+        calls.append(1)
+        kernels.fill(3.0, field)
+        kernels.repeat(lambda: kernels.axpby(1.0, go_on, -1.0, go_on, go_on), go_on, 2)
+
+    kernels.prepare(work, device)
+    assert calls == [1]
+    kernels.upload(np.zeros((4, 5), np.float32), field)
+    kernels.fill(3.0, field)
+    np.testing.assert_array_equal(kernels.numpy(field), 3.0)
+
+
+def test_views_without_anything_in_their_middle_can_be_estimated(compiled: set[str]) -> None:
+    lf = scenes.make("relief", grid=(3, 3), size=(96, 96))
+    views = lf.views.copy()
+    views[:, 30:66, 30:66] = 0
+    valid = np.ones(views.shape[:3], np.bool_)
+    valid[:, 30:66, 30:66] = False
+    result = estimate_depth(replace(lf, views=views, valid=valid, truth=None), config="fast")
+    assert result.timings["compile"] > 0

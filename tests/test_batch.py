@@ -205,11 +205,9 @@ def test_a_result_that_is_lost_is_asked_for_alone_and_then_said_so(scene_folders
     entry = cluster._outcome(finished[0], None, _Task(todo[0], deque()))
     assert entry == {"status": DONE, "attempts": 1}
     entry = cluster._outcome(lost, None, _Task(todo[0], deque()))
-    assert entry is not None
     assert entry["error"] == "its result was lost with its worker, tried 1 times."
     cluster._client.status = "closed"
     entry = cluster._outcome(lost, None, _Task(todo[0], deque()))
-    assert entry is not None
     assert entry["error"] == "the scheduler was lost, tried 1 times."
 
 
@@ -333,7 +331,6 @@ def test_a_cluster_with_certificates_of_ones_own(
     for command in made:
         subprocess.run(shlex.split(command), cwd=tmp_path, check=True, capture_output=True)
     settings = re.search(r"```yaml\n(# ~/.config/dask/tls.yaml.*?)```", page, re.DOTALL)
-    assert settings is not None
     assert len(made) == 3
     (tmp_path / "tls.yaml").write_text(settings[1].replace("/secret", str(tmp_path)))
     monkeypatch.setenv("DASK_CONFIG", str(tmp_path / "tls.yaml"))

@@ -1,19 +1,25 @@
-"""The confidence and the uncertainty of matching: what lowers them, where they go, and that fitting finds weights."""
+"""The confidence of matching, reasons to doubt a pixel, and what is unknown, which is NaN everywhere."""
 
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 import lfgpu
+from benchmarks import cli
 from benchmarks import confidence as benchmark
-from benchmarks.cli import app
 from benchmarks.confidence import Sample, Weights
-from lfgpu import DepthResult, LightField, scenes
+from lfgpu import DepthResult, LightField, Reason, estimate_depth, reasons, scenes
+from lfgpu.cli import app
+from lfgpu.data.filling import filled
+from lfgpu.data.points import point_cloud
+from lfgpu.errors import LightFieldError
 from lfgpu.io.hci import write_hci
+from lfgpu.viz.colours import painted
 
 RANGE = (-1.6, 1.7)
 WEIGHTS = Weights({"once": (0.5, -1.2, 0.8, -0.4, 0.3, 0.2)}, {"once": (-3.0, 0.5, -1.0, 0.3, -0.2, 0.1)})
@@ -27,17 +33,13 @@ def scene(**options: object) -> LightField:
     return scenes.make("boxes", grid=(7, 7), size=(96, 104), **options)  # type: ignore[arg-type]
 
 
-def test_the_uncertainty_is_a_standard_deviation_in_pixels() -> None:
+def test_synthesis_has_none_and_matching_a_standard_deviation() -> None:
     result = estimated(scene())
-    assert result.uncertainty is not None
     assert result.uncertainty.dtype == np.float32
     assert result.uncertainty.shape == result.disparity.shape
     assert (result.uncertainty > 0).all()
     sure, unsure = result.confidence > 0.95, result.confidence < 0.6
     assert np.median(result.uncertainty[sure]) < np.median(result.uncertainty[unsure])
-
-
-def test_synthesis_has_none() -> None:
     lf = scenes.make("relief", grid=(3, 3), size=(48, 48))
     assert lfgpu.estimate_depth(lf, config="paper", disparity_range=RANGE, device="cpu").uncertainty is None
 
@@ -63,7 +65,6 @@ def test_a_plain_surface_far_from_texture_is_not_believed(preset: str) -> None:
     result = lfgpu.estimate_depth(replace(lf, views=views), config=preset, disparity_range=RANGE, device="cpu")  # type: ignore[arg-type]
     plain, textured = np.s_[20:-20, 75:], np.s_[20:-20, :30]
     assert result.confidence[plain].mean() < 0.75 * result.confidence[textured].mean()
-    assert result.uncertainty is not None
     assert result.uncertainty[plain].mean() > 5 * result.uncertainty[textured].mean()
     assert result.uncertainty.max() <= (RANGE[1] - RANGE[0]) / np.sqrt(12) + 1e-6
 
@@ -153,7 +154,7 @@ def test_the_command_line(tmp_path: Path) -> None:
     write_hci(scenes.make("planes", grid=(5, 5), size=(64, 72)), tmp_path / "one")
     diagram, out = tmp_path / "diagram.png", tmp_path / "confidence.json"
     arguments = ["confidence", str(tmp_path), "--presets", "fast", "--diagram", str(diagram), "-o", str(out)]
-    done = CliRunner().invoke(app, arguments)
+    done = CliRunner().invoke(cli.app, arguments)
     assert done.exit_code == 0, done.output
     assert "one, fast" in done.output
     assert diagram.stat().st_size > 0
@@ -162,3 +163,207 @@ def test_the_command_line(tmp_path: Path) -> None:
     assert found["versions"]["lfgpu"] == lfgpu.__version__
     assert [(row["scene"], row["preset"]) for row in found["rows"]] == [("all", "all"), ("one", "fast")]
     assert all(0 <= one["right"] <= 1 for row in found["rows"] for one in row["bins"])
+
+
+SIZE, BOUNDS = (64, 96), (-1.6, 1.6)
+
+
+@pytest.fixture(scope="module")
+def planes() -> LightField:
+    return scenes.make("bars", grid=(5, 5), size=SIZE)
+
+
+@pytest.fixture(scope="module")
+def true(planes: LightField) -> DepthResult:
+    """A result whose map is the truth."""
+    result = estimate_depth(planes, config="fast", disparity_range=BOUNDS, check_cameras=False)
+    return replace(result, disparity=planes.truth.disparity)
+
+
+def where(reason: Reason, lf: LightField, result: DepthResult) -> np.ndarray:
+    return reasons(lf, result) & reason > 0
+
+
+def test_a_true_map_of_a_textured_scene_is_rarely_doubted(planes: LightField, true: DepthResult) -> None:
+    found = reasons(planes, true)
+    assert found.dtype == np.uint8
+    for reason in Reason:
+        share = np.mean(found & reason > 0)
+        assert share < 0.15, (reason, share)
+
+
+def test_plain_surfaces_have_no_texture(planes: LightField, true: DepthResult) -> None:
+    """Also along one direction only, where the cameras stand in a row."""
+    plain = planes.views.copy()
+    plain[:, 20:40, 30:70] = 128
+    found = where(Reason.NO_TEXTURE, replace(planes, views=plain), true)
+    assert found[25:35, 35:65].all()
+    assert found[:14].mean() < 0.2
+    stripes = np.broadcast_to(np.where(np.arange(SIZE[0]) % 8 < 4, 60, 190)[None, :, None, None], planes.views.shape)
+    striped = replace(planes, views=np.ascontiguousarray(stripes, np.uint8))
+    row = striped.subset(np.flatnonzero(striped.offsets[:, 1] == 0))
+    column = striped.subset(np.flatnonzero(striped.offsets[:, 0] == 0))
+    assert where(Reason.NO_TEXTURE, row, true).all()
+    assert not where(Reason.NO_TEXTURE, column, true).any()
+
+
+def test_hidden_pixels_are_those_beside_a_nearer_surface(planes: LightField, true: DepthResult) -> None:
+    disparity = np.full(SIZE, -1, np.float32)
+    disparity[:, 40:50] = 1.5
+    result = replace(true, disparity=disparity)
+    right = planes.subset(np.flatnonzero((planes.offsets[:, 0] >= 0) & (planes.offsets[:, 1] == 0)))
+    found = where(Reason.HIDDEN, right, result)[:, 10:-10]
+    # The view beside the reference hides two and a half columns, the one behind it five: fewer than half see the first.
+    assert found[:, 38 - 10 : 40 - 10].all()
+    assert not found[:, : 37 - 10].any()
+    assert not found[:, 40 - 10 :].any()
+    assert not where(Reason.HIDDEN, right, replace(true, disparity=np.zeros(SIZE, np.float32)))[:, :-10].any()
+
+
+def test_surfaces_beyond_the_range_are_at_its_end(planes: LightField, true: DepthResult) -> None:
+    low = float(np.median(planes.truth.disparity))
+    cut = replace(true, disparity=planes.truth.disparity.clip(low), disparity_range=(low, BOUNDS[1]))
+    np.testing.assert_array_equal(where(Reason.END_OF_RANGE, planes, cut)[planes.truth.disparity <= low], True)
+    assert not where(Reason.END_OF_RANGE, planes, true).any()
+
+
+def test_what_views_do_not_show_is_unexplained(planes: LightField, true: DepthResult) -> None:
+    """A glint that only the reference shows."""
+    glint = planes.views.copy()
+    glint[planes.reference_index, 20:30, 40:50] = 255
+    found = where(Reason.UNEXPLAINED, replace(planes, views=glint), true)
+    assert found[21:29, 41:49].mean() > 0.8
+    assert found[40:].mean() < 0.1
+
+
+def test_masked_pixels_have_no_reason_and_bad_cameras_are_one_everywhere(planes: LightField, true: DepthResult) -> None:
+    disparity = true.disparity.copy()
+    disparity[:10] = np.nan
+    found = reasons(planes, replace(true, disparity=disparity, remarks=("views are shifted.",)))
+    assert not found[:10].any()
+    assert (found[10:] & Reason.CAMERAS > 0).all()
+
+
+HOLE = np.s_[:10, -16:]
+
+
+def masked(size: tuple[int, int] = (40, 48)) -> LightField:
+    """A scene of which no view recorded one corner."""
+    lf = scenes.make("relief", grid=(5, 5), size=size)
+    valid = np.ones(lf.views.shape[:3], bool)
+    valid[(slice(None), *HOLE)] = False
+    return replace(lf, valid=valid)
+
+
+def hole(lf: LightField) -> np.ndarray:
+    return ~lf.valid[lf.reference_index]
+
+
+@pytest.mark.parametrize("config", ["accurate", "fast", "paper"])
+def test_masked_pixels_of_the_reference_are_nan_in_all_maps(config: str, target: Any) -> None:
+    lf = masked()
+    result = lfgpu.estimate_depth(
+        lf, config=config, disparity_range=RANGE, backend=target.backend, device=target.device
+    )
+    np.testing.assert_array_equal(np.isnan(result.disparity), hole(lf))
+    assert (result.confidence[hole(lf)] == 0).all()
+    assert (result.confidence[~hole(lf)] > 0).any()
+    for name, map_ in result.stages.items():
+        assert np.isnan(map_[hole(lf)]).all(), name
+
+
+def test_they_leave_the_rest_as_it_is(target: Any) -> None:
+    lf = masked()
+    pipeline = lfgpu.DepthPipeline(
+        lf, config="fast", disparity_range=RANGE, backend=target.backend, device=target.device
+    )
+    maps = []
+    for _ in range(3):  # the next run does not start from what the last one left
+        pipeline.run()
+        maps.append(pipeline.disparity())
+    np.testing.assert_array_equal(maps[0], maps[2])
+    whole = lfgpu.estimate_depth(replace(lf, valid=None), config="fast", disparity_range=RANGE, device="cpu")
+    assert np.nanquantile(np.abs(maps[0] - whole.disparity), 0.95) < 0.01
+
+
+def test_tiles_have_the_same_holes() -> None:
+    lf = masked((150, 220))
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu", max_memory="1GiB")
+    np.testing.assert_array_equal(np.isnan(result.disparity), hole(lf))
+    assert (result.confidence[hole(lf)] == 0).all()
+
+
+def test_streams_have_the_same_holes_in_every_frame() -> None:
+    lf = masked()
+    with lfgpu.DepthStream(lf, config="fast", disparity_range=RANGE, device="cpu") as stream:
+        for _ in range(3):
+            np.testing.assert_array_equal(np.isnan(stream.push(lf.views).numpy()), hole(lf))
+
+
+def test_maps_of_all_views_are_nan_where_no_key_view_shows_the_pixel() -> None:
+    lf = masked()
+    result = lfgpu.estimate_all_views(lf, keys=1, config="fast", disparity_range=RANGE)
+    known = np.isfinite(result.disparities)
+    assert not known[lf.reference_index][hole(lf)].any()
+    assert known[lf.reference_index][~hole(lf)].all()
+    assert (result.confidences[~known] == 0).all()
+
+
+@pytest.mark.parametrize("suffix", ["npz", "pfm", "tif", "exr", "png"])
+def test_files_keep_them(tmp_path: Path, suffix: str) -> None:
+    if suffix == "exr":
+        pytest.importorskip("OpenEXR")
+    lf = masked()
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu")
+    result.save(tmp_path / f"map.{suffix}")
+    loaded = lfgpu.load(tmp_path / f"map.{suffix}")
+    np.testing.assert_array_equal(np.isnan(loaded.disparity), hole(lf))
+    np.testing.assert_allclose(loaded.disparity, result.disparity, atol=1e-4)  # NaN are equal
+    if suffix == "png":  # whose scale is that of the known values
+        assert np.nanmin(loaded.disparity) == pytest.approx(np.nanmin(result.disparity), abs=1e-6)
+
+
+def test_they_have_no_point_and_are_grey() -> None:
+    lf = masked()
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu")
+    assert len(point_cloud(result).points) == (~hole(lf)).sum()
+    pictured = painted(result.disparity, "viridis", RANGE)
+    assert len(np.unique(pictured[hole(lf)], axis=0)) == 1
+    assert np.ptp(pictured[hole(lf)][0].astype(int)) < 10
+
+
+def test_filling_takes_the_farther_side_and_says_so() -> None:
+    nan = np.nan
+    np.testing.assert_array_equal(lfgpu.fill_unknown([[2.0, nan, nan, -1.0, nan]]), [[2, -1, -1, -1, -1]])
+    np.testing.assert_array_equal(lfgpu.fill_unknown([[[nan, 1.0]], [[3.0, nan]]]), [[[1, 1]], [[3, 3]]])
+    lf = masked()
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu")
+    whole = filled(result)
+    assert np.isfinite(whole.disparity).all()
+    np.testing.assert_array_equal(whole.disparity[~hole(lf)], result.disparity[~hole(lf)])
+    assert "8.3 % of the pixels are not known; they were filled" in whole.status
+    assert filled(whole) is whole
+    with pytest.raises(LightFieldError, match="no known value"):
+        lfgpu.fill_unknown([[nan]])
+    with pytest.raises(LightFieldError, match=r"must be \[y, x\]"):
+        lfgpu.fill_unknown([1.0])
+
+
+def test_the_command_line_says_how_much_is_unknown_and_fills_it(tmp_path: Path) -> None:
+    lf = masked()
+    np.savez(tmp_path / "lf.npz", views=lf.views, positions=lf.positions, valid=lf.valid)
+
+    def told(out: str, *options: str) -> str:
+        arguments = ["depth", str(tmp_path / "lf.npz"), "-o", str(tmp_path / out), "--preset", "fast", *options]
+        done = CliRunner().invoke(app, arguments)
+        assert done.exit_code == 0, done.output
+        return " ".join(done.output.split())
+
+    said = told("holes")
+    assert "8.3 % of the pixels (NaN): masked in this view; --fill fills them" in said
+    assert "nan to" not in said
+    assert np.isnan(lfgpu.load(tmp_path / "holes" / "disparity.pfm").disparity).sum() == hole(lf).sum()
+    said = told("whole", "--fill")
+    assert "8.3 % of the pixels are not known; they were filled" in said
+    assert np.isfinite(lfgpu.load(tmp_path / "whole" / "disparity.pfm").disparity).all()
+    assert np.isfinite(lfgpu.load(tmp_path / "whole" / "result.npz").disparity).all()

@@ -66,13 +66,10 @@ def test_parameters_lists_each_parameter_of_each_section_once(kind: type[Config]
     assert listed == [f"{name}.{f.name}" for name, section in sections.items() for f in dataclasses.fields(section)]
 
 
-def test_every_parameter_says_what_it_means() -> None:
+def test_parameters_say_what_they_mean_and_a_range_that_holds_the_default() -> None:
     for name, field in ALL:
         assert len(field.metadata["doc"].split()) >= 3, name
         assert isinstance(field.metadata["symbol"], str), name
-
-
-def test_every_number_has_a_range_that_holds_its_default() -> None:
     for name, field in NUMBERS:
         low, high = field.metadata["low"], field.metadata["high"]
         assert low < high, name
@@ -120,15 +117,11 @@ def test_choices_are_named_where_there_is_no_such_one() -> None:
             assert value_of(OWNER[name].with_values({name: choice}), name) == choice
 
 
-def test_configs_are_frozen() -> None:
+def test_configs_are_frozen_and_hold_what_is_named() -> None:
     with pytest.raises(dataclasses.FrozenInstanceError):
         SynthesisConfig().local.inner_scale = 2.0  # type: ignore[misc]
-
-
-# --- with_values ---
-
-
-def test_with_values_changes_what_is_named_and_nothing_else() -> None:
+    with pytest.raises(LightFieldError, match="use a preset, or one of MatchingConfig, SynthesisConfig"):
+        Config()
     before = SynthesisConfig()
     after = before.with_values({"local.inner_scale": 1.25, "prior.window": 7})
     assert (after.local.inner_scale, after.prior.window) == (1.25, 7)
@@ -136,6 +129,9 @@ def test_with_values_changes_what_is_named_and_nothing_else() -> None:
     assert all(value_of(after, name) == value_of(before, name) for name in unchanged)
     assert before == SynthesisConfig()
     assert before.with_values({}) == before
+
+
+# --- with_values ---
 
 
 @pytest.mark.parametrize(
@@ -216,19 +212,11 @@ def test_what_is_no_parameter_any_more_is_answered_with_a_sentence(name: str) ->
     assert sentence.endswith("is no parameter any more, but a fixed number of matching; leave it out.")
 
 
-def test_users_of_matching_have_about_ten_parameters() -> None:
+def test_users_have_about_ten_parameters_of_matching_and_old_names_lead_to_them() -> None:
     assert len(list(parameters(MatchingConfig))) <= 13
-
-
-def test_every_new_name_is_one() -> None:
     for kind in SECTIONS:
         known = {part for name, _ in parameters(kind) for part in (name, name.partition(".")[0])}
         assert set(kind.renamed.values()) <= known
-
-
-def test_config_by_itself_has_no_parameters() -> None:
-    with pytest.raises(LightFieldError, match="use a preset, or one of MatchingConfig, SynthesisConfig"):
-        Config()
 
 
 @pytest.mark.parametrize("name", ["propagation.solver", "refinement.solver"])
@@ -240,14 +228,11 @@ def test_a_solver_of_scipy_takes_the_method_off_the_device(name: str) -> None:
 # --- presets ---
 
 
-def test_there_is_the_preset_of_the_paper() -> None:
+def test_presets_are_those_that_there_are() -> None:
     assert "paper" in PRESETS
     for name, config in PRESETS.items():
         assert preset(name) is config
         assert isinstance(config, Config)
-
-
-def test_an_unknown_preset_is_refused_with_those_that_there_are() -> None:
     with pytest.raises(LightFieldError) as error:
         preset("best")
     assert "'best'" in str(error.value)

@@ -26,6 +26,21 @@ ROOT = Path(__file__).parents[1]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 REFERENCE = BackendInfo("reference", "numpy", "2.0", ("cpu",))
 """The only backend in most of these tests: it starts at once."""
+MAPS: dict[str, Any] = {}
+
+
+@pytest.fixture(autouse=True)
+def estimated_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The map of the self-test is one for all tests, which change what is done with it."""
+    true = estimate.estimate_depth
+
+    def once(*arguments: Any, **options: Any) -> Any:
+        key = repr(options)
+        if key not in MAPS:
+            MAPS[key] = true(*arguments, **options)
+        return MAPS[key]
+
+    monkeypatch.setattr(estimate, "estimate_depth", once)
 
 
 @pytest.fixture
@@ -164,13 +179,10 @@ def test_a_library_that_reads_something_else_is_a_problem(monkeypatch: pytest.Mo
     assert "what is read differs by" in tiff
 
 
-def test_every_extra_for_users_is_looked_at() -> None:
+def test_parts_that_are_not_there_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert checkup.TRIALS.keys() | {"taichi"} == checkup.PARTS.keys()
     # Training has no command yet, so "train" is for developers, too.
     assert set(checkup.PARTS) == EXTRAS.keys() - {"all", "test", "lint", "docs", "train"}
-
-
-def test_a_part_that_is_not_there_is_named_with_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(checkup, "describe_backends", lambda: (REFERENCE,))
     monkeypatch.setattr(checkup, "version_of", lambda name: None if name == "viser" else "1.0")
     outcome = doctor()
@@ -178,7 +190,7 @@ def test_a_part_that_is_not_there_is_named_with_the_command(monkeypatch: pytest.
     assert "not installed: the viewer in the browser; pip install -e '.[viewer]'" in outcome.stdout
 
 
-def test_the_memory_of_a_gpu_is_what_its_driver_says(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_of_a_gpu_is_what_its_driver_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     class Driver:
         def cuDeviceTotalMem_v2(self, size: Any, device: Any) -> int:  # noqa: N802  # the name in the driver
             size._obj.value = 80 * 2**30
@@ -188,9 +200,6 @@ def test_the_memory_of_a_gpu_is_what_its_driver_says(monkeypatch: pytest.MonkeyP
     assert machine.device_memory("cuda:1") == 80 * 2**30
     assert machine.device_memory("cuda:0") is None  # an error of the driver
     assert machine.device_memory("cpu") is None
-
-
-def test_free_memory_is_less_than_all(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     meminfo = tmp_path / "meminfo"
     meminfo.write_text("MemTotal:       24684092 kB\nMemAvailable:   20000000 kB\n")
     monkeypatch.setattr(machine, "_MEMINFO", meminfo)

@@ -64,12 +64,9 @@ def all_sources() -> Iterator[Path]:
         yield from sorted((ROOT / folder).rglob("*.py"))
 
 
-def test_docstrings_begin_as_they_should() -> None:
+def test_docstrings_attributes_and_help_texts_begin_as_they_should() -> None:
     found = [sentence for path in all_sources() for sentence in wrong(path)]
     assert found == [], "see CONTRIBUTING.md, What a change needs"
-
-
-def test_attributes_and_help_texts_begin_as_they_should() -> None:
     said = ((path, line, word) for path in all_sources() for line, word in said_beside(path))
     assert [f"{path.name}:{line}: {word}" for path, line, word in said if word in QUESTIONS] == []
 

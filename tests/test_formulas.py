@@ -259,7 +259,6 @@ def test_a_place_between_a_valid_and_a_masked_pixel_is_masked() -> None:
     lf = LightField(views, np.array([(0.0, 0.0), (1.0, 0.0)]), valid=valid)
     y, x = np.mgrid[:12, :20].astype(float)
     _, found = resampled(lf, lambda n: np.stack([x + 0.5 * n, y], axis=-1))
-    assert found is not None
     assert found[0, 6, 8:12].tolist() == [True, True, False, False]
     assert found[1, 6, 9:12].tolist() == [False, False, False]
 
@@ -287,6 +286,5 @@ def test_the_lattice_that_a_camera_states_is_turned_as_it_states() -> None:
     array = MicrolensArray(pitch=10.0, rotation=0.1, stretch=1.0)
     capture = type("Capture", (), {"camera": type("Camera", (), {"microlenses": array})})
     found = _expected(capture)  # type: ignore[arg-type]
-    assert found is not None
     assert found.along == pytest.approx([10 * math.cos(0.1), 10 * math.sin(0.1)])
     assert found.down == pytest.approx([10 * math.cos(0.1 + math.pi / 3), 10 * math.sin(0.1 + math.pi / 3)])

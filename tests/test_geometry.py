@@ -1,14 +1,18 @@
-"""Disparity and depth: the formula by hand, its inverse, its edges, its refusals."""
+"""Disparity and depth by hand, layouts of views, xarray datasets, and filters over windows."""
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
-from lfgpu import scenes
+import lfgpu
+from lfgpu import LightField, LightFieldError, scenes
 from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
-from lfgpu.errors import LightFieldError
+from lfgpu.data.layout import PATTERNS
+from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_mean, window_min
 from lfgpu.io import read, read_map
 from lfgpu.pipelines.estimate import estimate_depth
 
@@ -19,34 +23,16 @@ def test_values_by_hand() -> None:
     # B f = 10; at 1 m: 10 * (1 - 0.5) = 5; on the focus plane 0; at 4 m: 10 * (0.25 - 0.5) = -2.5
     np.testing.assert_allclose(GEOMETRY.disparity([1.0, 2.0, 4.0]), [5.0, 0.0, -2.5])
     np.testing.assert_allclose(GEOMETRY.depth([5.0, 0.0, -2.5]), [1.0, 2.0, 4.0])
-
-
-def test_larger_disparity_is_nearer() -> None:
     assert (np.diff(GEOMETRY.depth(np.linspace(-4, 10, 50))) < 0).all()
-
-
-def test_depth_and_disparity_are_inverse() -> None:
     depth = np.random.default_rng(1).uniform(0.3, 50, (7, 9))
     np.testing.assert_allclose(GEOMETRY.depth(GEOMETRY.disparity(depth)), depth, rtol=1e-12)
-
-
-def test_at_and_beyond_the_horizon_depth_is_infinite() -> None:
     # the horizon has the disparity -B f / F = -5
     assert GEOMETRY.disparity(np.inf) == -5.0
     assert np.isinf(GEOMETRY.depth([-5.0, -6.0])).all()
-
-
-def test_an_undefined_disparity_has_an_undefined_depth() -> None:
     np.testing.assert_array_equal(np.isnan(GEOMETRY.depth([np.nan, 1.0])), [True, False])
-
-
-def test_without_a_focus_plane_disparity_is_inverse_depth() -> None:
     geometry = Geometry(focal_length_px=1000.0, baseline_m=0.01)
     np.testing.assert_allclose(geometry.disparity([1.0, 10.0]), [10.0, 1.0])
     assert np.isinf(geometry.depth(0.0))
-
-
-def test_shape_is_kept_and_integers_are_taken() -> None:
     assert GEOMETRY.depth(np.zeros((3, 4), np.float32)).shape == (3, 4)
     assert GEOMETRY.depth(5) == 1.0
 
@@ -76,8 +62,6 @@ def test_places_must_be_pairs(name: str, place: tuple[float, ...]) -> None:
 @pytest.mark.data("cotton")
 def test_true_disparity_gives_the_true_depth(data_folder: Path) -> None:
     lf = read(data_folder)
-    assert lf.geometry is not None
-    assert lf.truth is not None
     error = np.abs(lf.geometry.depth(lf.truth.disparity) - read_map(data_folder / "gt_depth_lowres.pfm"))
     assert np.median(error) < 1e-3
 
@@ -93,15 +77,12 @@ def projected(geometry: Geometry, point: np.ndarray, camera_m: np.ndarray) -> np
     return geometry.principal_point + f * ((point[:2] - camera_m) / point[2] + camera_m / geometry.focus_distance_m)
 
 
-def test_positions_are_camera_places_in_steps_that_move_images_alike() -> None:
+def test_positions_are_places_in_steps_that_move_images_alike() -> None:
     centres = np.array([[0.0, 0.0], [0.01, 0.0], [-0.02, 0.03]])
     np.testing.assert_allclose(UNEVEN.positions(centres), [[0, 0], [1, 0], [-2, 3.75]])
     np.testing.assert_allclose(UNEVEN.centres(UNEVEN.positions(centres)), centres)
     with pytest.raises(LightFieldError, match=r"\[n, 2\]"):
         UNEVEN.positions([1.0, 2.0])
-
-
-def test_one_disparity_holds_for_both_directions() -> None:
     point, steps = np.array([0.1, -0.2, 1.3]), np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.5], [-2.0, 0.7]])
     seen = np.array([projected(UNEVEN, point, centre) for centre in UNEVEN.centres(steps)])
     np.testing.assert_allclose(seen, seen[0] - UNEVEN.disparity(1.3) * steps)
@@ -131,7 +112,6 @@ def test_rows_that_stand_farther_apart_than_columns() -> None:
     )
     np.testing.assert_array_equal(np.unique(sparse.positions[:, 1]), [0, 2, 4])
     assert sparse.grid_shape is None
-    assert made.truth is not None
     errors = [
         np.median(np.abs(estimate_depth(lf, disparity_range=(-2, 2)).disparity - made.truth.disparity))
         for lf in (sparse, LightField.from_grid(sparse.views.reshape(3, 3, *sparse.views.shape[1:])))
@@ -139,3 +119,136 @@ def test_rows_that_stand_farther_apart_than_columns() -> None:
     assert errors[0] < 0.03 < 0.09 < errors[1]  # taken for a square grid, it is wrong
     with pytest.raises(LightFieldError, match="vertical_step"):
         LightField.from_grid(made.views[None], vertical_step=0.0)
+
+
+@pytest.fixture(scope="module")
+def lf() -> LightField:
+    made = scenes.make("boxes", grid=(5, 4), size=(16, 20), reference=(1, 2), dtype=np.uint16)
+    valid = np.random.default_rng(1).random(made.views.shape[:3]) < 0.9
+    return replace(made, valid=valid, white=4095)
+
+
+def test_a_layout_is_the_light_field_without_its_pixels(lf: LightField) -> None:
+    layout = lf.layout
+    assert (layout.shape, layout.dtype, layout.scale) == (lf.views.shape, lf.views.dtype, 1 / 4095)
+    assert (layout.count, layout.size, layout.channels, layout.name) == (20, lf.size, 3, lf.name)
+    assert (layout.reference, layout.farthest) == (lf.reference_index, 3.0)
+    assert np.array_equal(layout.offsets, lf.offsets)
+    assert layout.masks is not None
+    assert np.array_equal(np.stack(layout.masks), lf.valid)
+
+
+@pytest.mark.parametrize("which", [*PATTERNS, [0, 3, 7, 19]])
+def test_its_subset_is_the_layout_of_the_subset(lf: LightField, which: str | list[int]) -> None:
+    ours, theirs = lf.layout.subset(which), lf.subset(which).layout
+    assert np.array_equal(ours.offsets, theirs.offsets)
+    assert (ours.reference, ours.shape) == (theirs.reference, theirs.shape)
+    assert ours.masks is not None
+    assert theirs.masks is not None
+    assert np.array_equal(ours.masks, theirs.masks)
+
+
+def test_a_subset_is_a_layout_that_copies_no_mask(lf: LightField) -> None:
+    masks = lf.layout.subset("cross").masks
+    assert all(mask.base is lf.valid for mask in masks)
+    with pytest.raises(LightFieldError, match="leaves the reference view alone"):
+        lf.layout.subset([lf.reference_index])
+
+
+@pytest.mark.parametrize("size", [1, 3, 7])
+@pytest.mark.parametrize("shape", [(20, 30), (9, 7)])
+def test_windows_are_those_of_scipy(shape: tuple[int, int], size: int) -> None:
+    values = np.random.default_rng(0).random(shape).astype(np.float32)
+    np.testing.assert_array_equal(window_max(values, size), ndimage.maximum_filter(values, size, mode="nearest"))
+    np.testing.assert_array_equal(window_min(values, size), ndimage.minimum_filter(values, size, mode="nearest"))
+    np.testing.assert_allclose(window_mean(values, size), ndimage.uniform_filter(values, size), rtol=1e-6)
+    high = values > 0.9
+    np.testing.assert_array_equal(window_max(high, size), ndimage.maximum_filter(high, size, mode="nearest"))
+    np.testing.assert_array_equal(window_min(~high, size), ndimage.minimum_filter(~high, size, mode="nearest"))
+
+
+@pytest.mark.parametrize("shape", [(20, 30), (9, 7)])
+def test_smoothed_images_gradients_and_margins_are_those_of_scipy(shape: tuple[int, int]) -> None:
+    values = np.random.default_rng(0).random(shape).astype(np.float32)
+    for deviation in (0.7, 1.5):
+        np.testing.assert_allclose(smoothed(values, deviation), ndimage.gaussian_filter(values, deviation), rtol=1e-5)
+    sobel = np.hypot(ndimage.sobel(values, 0), ndimage.sobel(values, 1)) / 8
+    np.testing.assert_allclose(gradient_size(values), sobel, rtol=0, atol=1e-6)
+    known = values > 0.05
+    for times in (1, 3):
+        want = ndimage.binary_erosion(known, iterations=times, border_value=0)
+        np.testing.assert_array_equal(eroded(known, times), want)
+
+
+@pytest.fixture(scope="module")
+def of_boxes() -> lfgpu.LightField:
+    pytest.importorskip("xarray", reason="xarray is not installed: pip install 'lfgpu[xarray]'")
+    return scenes.make("boxes", grid=(3, 5), size=(24, 32))
+
+
+@pytest.fixture(scope="module")
+def result(of_boxes: lfgpu.LightField) -> lfgpu.DepthResult:
+    return lfgpu.estimate_depth(of_boxes, config="fast", disparity_range=(-2, 2), check_cameras=False)
+
+
+def test_a_grid_has_rows_and_columns(of_boxes: lfgpu.LightField) -> None:
+    found = lfgpu.to_xarray(of_boxes)
+    assert found.views.dims == ("v", "u", "y", "x", "channel")
+    index = of_boxes.index_of(1, 4)
+    picked = found.views.sel(v=1, u=4, channel="green")
+    np.testing.assert_array_equal(picked, of_boxes.views[index, ..., 1])
+    np.testing.assert_allclose(
+        picked * found.views.scale_factor_to_unit_intensity, of_boxes.image(index)[..., 1], rtol=1e-6
+    )
+    assert (found.u.units, found.x.units) == ("view steps", "px")
+    assert found.attrs["reference"] == [2.0, 1.0]
+    assert found.attrs["baseline_m"] == of_boxes.geometry.baseline_m  # type: ignore[union-attr]
+    assert np.shares_memory(found.views.values, of_boxes.views)
+
+
+def test_views_that_fill_no_grid_are_a_list(of_boxes: lfgpu.LightField) -> None:
+    found = lfgpu.to_xarray(of_boxes.subset("cross"))
+    assert found.views.dims == ("view", "y", "x", "channel")
+    np.testing.assert_array_equal(np.stack([found.u, found.v], 1), of_boxes.subset("cross").positions)
+
+
+def test_masks_come_too(of_boxes: lfgpu.LightField) -> None:
+    valid = np.ones(of_boxes.views.shape[:3], bool)
+    valid[0, 0, 0] = False
+    found = lfgpu.to_xarray(lfgpu.LightField(of_boxes.views, of_boxes.positions, valid=valid))
+    assert int((~found.valid).sum()) == 1
+
+
+def test_a_result_has_units_and_its_file_comes_back(result: lfgpu.DepthResult, tmp_path: Path) -> None:
+    import xarray
+
+    found = lfgpu.to_xarray(result)
+    assert {name: found[name].units for name in found} == {
+        "disparity": "px per view step",
+        "confidence": "1",
+        "uncertainty": "px per view step",
+        "depth": "m",
+    }
+    for name in found:
+        np.testing.assert_array_equal(found[name], getattr(result, str(name)))
+        assert found[name].dims == ("y", "x")
+    assert found.attrs["position"] == [2.0, 1.0]
+    found.to_netcdf(tmp_path / "map.nc", engine="scipy")
+    with xarray.open_dataset(tmp_path / "map.nc", engine="scipy") as read:
+        np.testing.assert_array_equal(read.disparity, result.disparity)
+        assert read.attrs["convention"] == found.attrs["convention"]
+
+
+def test_maps_of_all_views_and_a_map_without_geometry(result: lfgpu.DepthResult, of_boxes: lfgpu.LightField) -> None:
+    maps = np.broadcast_to(result.disparity, of_boxes.views.shape[:3])
+    all_views = lfgpu.ViewsResult(maps, maps, of_boxes.positions, (7,), result, {})
+    assert lfgpu.to_xarray(all_views).disparity.dims == ("view", "y", "x")
+    assert set(lfgpu.to_xarray(lfgpu.DisparityMap(result.disparity))) == {"disparity"}
+
+
+def test_what_cannot_be_converted_gets_a_sentence(of_boxes: lfgpu.LightField, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(lfgpu.LightFieldError, match="not ndarray"):
+        lfgpu.to_xarray(of_boxes.views)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(lfgpu.LightFieldError, match=r"to_xarray needs xarray.*\[xarray\]"):
+        lfgpu.to_xarray(of_boxes)

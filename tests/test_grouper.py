@@ -54,33 +54,24 @@ def test_a_camera_that_is_silent_is_lost_and_then_late() -> None:
     assert (stats["groups"], stats["complete"], stats["lost"], stats["late"]) == (1, 0, 1, 1)
 
 
-def test_a_second_picture_of_a_camera_is_refused() -> None:
+def test_what_is_lost_late_or_repeated_is_counted() -> None:
     g = grouper()
     assert g.add(0, picture(1), 0.0)
     assert not g.add(0, picture(9), 0.001)
     g.close()
     assert taken(g.get(0)).views[0, 0, 0, 0] == 1
     assert g.stats()["repeated"] == 1
-
-
-def test_who_is_slow_to_take_loses_the_oldest() -> None:
     g = grouper(2, waiting=1)
     for moment in range(3):
         for camera in range(2):
             g.add(camera, picture(moment), moment * 0.1)
     assert taken(g.get(0)).views[0, 0, 0, 0] == 2
     assert g.stats()["dropped"] == 2
-
-
-def test_closing_gives_out_the_rest_and_ends_the_iteration() -> None:
     g = grouper()
     g.add(0, picture(1), 0.0)
     g.close()
     assert [group.valid.tolist() for group in g] == [[True, False, False]]
     assert not g.add(1, picture(1), 0.0)
-
-
-def test_a_clock_that_drifts_is_seen() -> None:
     g = grouper(2, waiting=100)
     for moment in range(80):
         g.add(0, picture(0), moment * 0.1)

@@ -1,11 +1,13 @@
-"""The first estimate: its filters, its accuracy from any reference view, its range, what it refuses."""
+"""The first estimate and its propagation: filters, accuracy from any view, normal equations written out, refusals."""
 
+import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from solver_runs import Found
 
 import lfgpu
 from lfgpu import scenes
@@ -14,8 +16,11 @@ from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
-from lfgpu.methods.sections import LocalConfig
+from lfgpu.methods.prior import NonLocalMeans
+from lfgpu.methods.sections import LocalConfig, PriorConfig
 from lfgpu.methods.structure_tensor import LocalEstimator, structure_filters
+from lfgpu.methods.synthesis.config import PropagationConfig
+from lfgpu.methods.synthesis.propagation import Propagation
 from lfgpu.metrics import Metrics, evaluate
 
 WARP = load("warp")
@@ -45,7 +50,6 @@ def run(estimator: LocalEstimator, views: np.ndarray) -> Local:
 
 def score(lf: LightField, local: Local) -> Metrics:
     truth = lf.reference_truth()
-    assert truth is not None
     return evaluate(np.where(local.coherence > 0, local.disparity, np.nan), truth.disparity)
 
 
@@ -109,13 +113,10 @@ def test_wide_disparities_are_found_by_shearing(seed: int) -> None:
     assert found.undefined < 1
 
 
-def test_a_missing_view_in_the_row_is_no_gap() -> None:
+def test_any_steps_of_shear_and_rows_with_gaps_will_do() -> None:
     full = relief()
     lf = full.subset([index for index in range(49) if index != full.index_of(3, 4)])
     assert score(lf, estimated(lf)).rmse < 0.04
-
-
-def test_steps_of_shear_that_are_no_whole_numbers_will_do() -> None:
     lf = relief()
     assert score(lf, estimated(lf, shear_step=0.75)).rmse < 0.04
 
@@ -142,16 +143,13 @@ def test_estimator_remembers_nothing_of_the_views_before() -> None:
 # --- what is undefined, and the bounds ---
 
 
-def test_coherence_is_0_or_above_the_threshold() -> None:
+def test_a_higher_threshold_leaves_fewer_and_better_pixels() -> None:
     lf = scenes.make("textureless", grid=(5, 5), size=(64, 64))
     for threshold in (0.5, 0.8, 0.95):
         coherence = estimated(lf, coherence_threshold=threshold).coherence
         defined = coherence[coherence > 0]
         assert threshold <= defined.min() < defined.max() <= 1 + 1e-6
         assert defined.size < coherence.size
-
-
-def test_a_higher_threshold_leaves_fewer_and_better_pixels() -> None:
     lf = scenes.make("boxes", grid=(7, 7), size=(96, 96))
     low, high = (score(lf, estimated(lf, coherence_threshold=threshold)) for threshold in (0.3, 0.97))
     assert high.undefined > low.undefined + 1
@@ -176,26 +174,136 @@ def test_a_range_without_any_estimate_is_refused() -> None:
 # --- cameras that do not stand one step apart, and disparities out of the ordinary ---
 
 
-def test_cameras_far_apart_are_as_accurate_in_their_own_steps() -> None:
+def test_cameras_stand_in_steps_of_their_own() -> None:
     lf = scenes.make("relief", grid=(9, 9), size=(96, 96), disparity_range=(-0.4, 0.4))
     sparse = lf.subset([lf.index_of(row, column) for row in (0, 4, 8) for column in (0, 4, 8)])
     unit = replace(sparse, positions=sparse.positions / 4, grid_shape=None)
     one, other = estimated(sparse, (-0.5, 0.5)), estimated(unit, (-2.0, 2.0))
     np.testing.assert_allclose(4 * one.disparity, other.disparity, atol=1e-5)
     assert evaluate(one.disparity, lf.truth.disparity).rmse < 0.02  # type: ignore[union-attr]
-
-
-def test_cameras_a_little_out_of_line_still_make_a_row() -> None:
     lf = relief()
     jitter = np.random.default_rng(0).uniform(-0.02, 0.02, lf.positions.shape)
     shaken = replace(lf, positions=lf.positions + jitter, grid_shape=None, truth=None)
     assert len(shaken.row()) == len(shaken.column()) == 7
     assert np.median(np.abs(estimated(shaken).disparity - estimated(lf).disparity)) < 0.02
-
-
-def test_the_range_is_in_units_of_the_positions() -> None:
-    """Positions counted in steps half as long: disparities half as large, margin included."""
+    # Positions counted in steps half as long: disparities half as large, margin included.
     lf = scenes.make("boxes", grid=(3, 3), size=(64, 72), disparity_range=(-2.0, 3.0))
     halved = replace(lf, positions=2 * lf.positions, truth=None, grid_shape=None)
     device = Device(load("warp"), "cpu")
     assert np.allclose(2 * np.array(find_disparity_range(halved, device)), find_disparity_range(lf, device))
+
+
+REFERENCE = load("reference")
+PRIOR = PriorConfig(window=5, sigma_color=0.3, sigma_gradient=0.3)
+
+
+class Gappy(NamedTuple):
+    """A first estimate, maps [y, x]."""
+
+    disparity: np.ndarray
+    coherence: np.ndarray
+
+
+def gappy(rng: np.random.Generator, size: tuple[int, int]) -> Gappy:
+    coherence = np.where(rng.random(size) < 0.6, rng.uniform(0.8, 1.0, size), 0.0)
+    return Gappy(rng.uniform(-1, 1, size).astype(np.float32), coherence.astype(np.float32))
+
+
+def propagation_of(image: np.ndarray, kernels: Any, device: str, **options: Any) -> Propagation:
+    prior = NonLocalMeans(image.shape, PRIOR, Device(kernels, device))
+    prior.load(kernels.image(image, device))
+    return Propagation(image.shape[:2], (-1.0, 1.0), prior, PropagationConfig(**options))
+
+
+def propagated(local: Gappy, image: np.ndarray, target: Any, **options: Any) -> Found:
+    kernels, device = target.kernels, target.device
+    propagation = propagation_of(image, kernels, device, **options)
+    propagation.run(kernels.field(local.disparity, device), kernels.field(local.coherence, device))
+    return Found(kernels.numpy(propagation.filled), propagation.report())
+
+
+def energy_minimum(local: Gappy, weights: np.ndarray) -> np.ndarray:
+    """argmin_m Σ_p Σ_q w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²], term by term, q = p included."""
+    n = local.disparity.size
+    c, m0 = local.coherence.ravel().astype(float), local.disparity.ravel().astype(float)
+    matrix, right = np.zeros((n, n)), np.zeros(n)
+    for p, q in itertools.product(range(n), repeat=2):
+        w = weights[p, q]
+        for a, b, sign in ((p, p, 1), (q, q, 1), (p, q, -1), (q, p, -1)):
+            matrix[a, b] += sign * w
+        matrix[q, q] += w * c[p]
+        right[q] += w * c[p] * m0[p]
+    return np.linalg.solve(matrix, right).reshape(local.disparity.shape)
+
+
+def test_propagation_is_the_minimum_of_its_energy(target: Any, rng: np.random.Generator) -> None:
+    size = (6, 7)
+    image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
+    prior = NonLocalMeans(image.shape, PRIOR, Device(REFERENCE, "cpu"))
+    prior.load(REFERENCE.image(image, "cpu"))
+    columns = []
+    for unit in np.eye(size[0] * size[1]):
+        sums = np.empty(size)
+        prior.neighbors(unit.reshape(size), sums)
+        columns.append(sums.ravel())
+    want = energy_minimum(local, np.stack(columns, axis=1))
+    values, solution = propagated(local, image, target, tolerance=1e-6)
+    np.testing.assert_allclose(values, want, rtol=0, atol=2e-5)
+    assert solution.converged
+
+
+def test_propagation_by_cg_and_by_lbfgsb_is_the_same(target: Any, rng: np.random.Generator) -> None:
+    size = (14, 17)
+    image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
+    by_cg = propagated(local, image, target, solver="cg", tolerance=1e-6)
+    by_lbfgsb = propagated(local, image, target, solver="lbfgsb", tolerance=1e-8, max_iterations=2000)
+    assert np.abs(by_cg.values - by_lbfgsb.values).max() < 1e-3
+    assert by_cg.solution.converged  # L-BFGS-B may end at the last bit of float32 instead
+
+
+def test_propagation_stays_within_what_was_defined(target: Any, rng: np.random.Generator) -> None:
+    size = (14, 17)
+    local = gappy(rng, size)
+    values, _ = propagated(local, rng.random((*size, 1), np.float32), target, tolerance=1e-6)
+    defined = local.disparity[local.coherence > 0]
+    assert values.min() >= defined.min() - 1e-5
+    assert values.max() <= defined.max() + 1e-5
+    size = (9, 8)
+    disparity, coherence = np.full(size, -7.0, np.float32), np.zeros(size, np.float32)
+    disparity[4, 3], coherence[4, 3] = 0.625, 0.9
+    values, _ = propagated(Gappy(disparity, coherence), rng.random((*size, 1), np.float32), target, tolerance=1e-6)
+    np.testing.assert_allclose(values, 0.625, rtol=0, atol=1e-4)
+    image, local = rng.random((*size, 1), np.float32), gappy(rng, size)
+    other = Gappy(np.where(local.coherence > 0, local.disparity, np.float32(99)), local.coherence)
+    a, b = (propagated(one, image, target, tolerance=1e-6).values for one in (local, other))
+    np.testing.assert_array_equal(a, b)
+
+
+@pytest.mark.parametrize("solver", ["cg", "lbfgsb"])
+def test_propagation_calls_back(solver: str, rng: np.random.Generator) -> None:
+    propagation = propagation_of(rng.random((9, 8, 1), np.float32), REFERENCE, "cpu", solver=solver)
+    calls: list[int] = []
+    propagation.run(*gappy(rng, (9, 8)), lambda iteration, _: calls.append(iteration))
+    assert calls == list(range(1, propagation.report().iterations + 1))
+    assert calls
+
+
+def test_propagation_remembers_nothing_of_the_estimate_before(target: Any, rng: np.random.Generator) -> None:
+    kernels, device, size = target.kernels, target.device, (9, 8)
+    image, first, second = rng.random((*size, 1), np.float32), gappy(rng, size), gappy(rng, size)
+    propagation = propagation_of(image, kernels, device, tolerance=1e-6)
+    for local in (first, second):
+        propagation.run(kernels.field(local.disparity, device), kernels.field(local.coherence, device))
+    fresh = propagated(second, image, target, tolerance=1e-6)
+    np.testing.assert_allclose(kernels.numpy(propagation.filled), fresh.values, rtol=0, atol=1e-5)
+
+
+def test_propagation_says_how_much_it_was_told(target: Any, rng: np.random.Generator) -> None:
+    """`trusted` is what tells that there was nothing to go by."""
+    kernels, device, size = target.kernels, target.device, (9, 8)
+    propagation = propagation_of(rng.random((*size, 1), np.float32), kernels, device)
+    some = gappy(rng, size)
+    for coherence in (np.zeros(size), some.coherence, np.zeros(size)):
+        propagation.run(kernels.field(some.disparity, device), kernels.field(coherence, device))
+        assert kernels.number(propagation.trusted) == pytest.approx(coherence.sum(dtype=float), rel=1e-6)
+        assert np.isfinite(kernels.numpy(propagation.filled)).all()

@@ -202,7 +202,7 @@ def test_maps_on_a_cpu_are_shared(target: Any) -> None:
         np.testing.assert_array_equal(confidence.astype(np.float32), pipeline.result().confidence)
 
 
-def test_maps_that_are_copied_stay() -> None:
+def test_maps_stay_where_they_are(target: Any) -> None:
     pipeline = DepthPipeline(scene(), config=CONFIG, disparity_range=RANGE, device="cpu")
     pipeline.run()
     want, there = pipeline.disparity(), pipeline.device_disparity
@@ -212,15 +212,8 @@ def test_maps_that_are_copied_stay() -> None:
     for copy in copies:
         np.testing.assert_array_equal(copy, want)
     assert (there.shape, there.dtype) == (want.shape, want.dtype)
-
-
-def test_maps_do_not_go_to_another_device_by_themselves() -> None:
-    pipeline = DepthPipeline(scene(), config=CONFIG, disparity_range=RANGE, device="cpu")
     with pytest.raises(BufferError, match=r"the map is on cpu and does not leave it by DLPack\."):
         pipeline.device_disparity.__dlpack__(dl_device=(2, 0))
-
-
-def test_taichi_says_that_it_has_nothing_to_share(target: Any) -> None:
     if target.backend != "taichi":
         pytest.skip("this is about Taichi")
     with pytest.raises(BackendError, match=r"copy the map with disparity\(\), or use backend 'warp'\.$"):

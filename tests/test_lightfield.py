@@ -67,37 +67,23 @@ def test_the_middle_view_is_the_reference(light_field: LightField) -> None:
     assert light_field.reference_index == light_field.index_of(1, 2)
     np.testing.assert_array_equal(light_field.offsets[0], [-2, -1])  # (du, dv) of the upper left view
     assert (light_field.grid_shape, light_field.size, light_field.missing) == ((3, 5), (HEIGHT, WIDTH), ())
-
-
-def test_even_grids_take_the_view_below_and_right_of_the_middle() -> None:
     light_field = LightField.from_grid(np.zeros((2, 4, 3, 3), np.uint8))
     np.testing.assert_array_equal(light_field.positions[light_field.reference_index], [2, 1])
-
-
-def test_any_positions_make_a_light_field() -> None:
     light_field = LightField(np.zeros((3, 4, 4), np.uint8), np.array([[0, 0], [1.5, 0.2], [4, -1]]))
     assert light_field.reference == 1  # nearest to the middle (2, -0.5)
     np.testing.assert_allclose(light_field.offsets[2], [2.5, -1.2])
     assert light_field.missing == ()
 
 
-def test_sub_aperture_views(light_field: LightField, views: NDArray[np.uint8]) -> None:
+def test_views_and_epis_are_slices_in_the_order_of_positions(light_field: LightField, views: NDArray[np.uint8]) -> None:
     for v in range(ROWS):
         for u in range(COLUMNS):
             np.testing.assert_array_equal(light_field.view(v, u), views[v, u])
-
-
-def test_epis_are_slices_of_the_row_and_column_of_the_reference(
-    light_field: LightField, views: NDArray[np.uint8]
-) -> None:
     np.testing.assert_array_equal(light_field.epi_horizontal(4), views[1, :, 4])
     np.testing.assert_array_equal(light_field.epi_vertical(7), views[:, 2, :, 7])
     moved = light_field.with_reference(light_field.index_of(0, 4))
     np.testing.assert_array_equal(moved.epi_horizontal(4), views[0, :, 4])
     np.testing.assert_array_equal(moved.epi_vertical(7), views[:, 4, :, 7])
-
-
-def test_epis_are_in_the_order_of_positions_not_of_views(views: NDArray[np.uint8]) -> None:
     order = np.random.default_rng(0).permutation(ROWS * COLUMNS)
     plain = LightField.from_grid(views)
     shuffled = LightField(plain.views[order], plain.positions[order])
@@ -132,19 +118,21 @@ def test_pattern_subsets(light_field: LightField, pattern: str, places: list[tup
     assert set(part.missing) == {(v, u) for v in range(3) for u in range(5)} - set(places)
 
 
-def test_patterns_go_through_the_reference_that_was_chosen(light_field: LightField) -> None:
+def test_subsets_keep_the_reference_and_the_masks(light_field: LightField, views: NDArray[np.uint8]) -> None:
     part = light_field.with_reference(0).subset("cross")
     assert len(part.views) == 7
     assert {tuple(p) for p in part.positions.astype(int).tolist()} == {(u, 0) for u in range(5)} | {(0, 1), (0, 2)}
-
-
-def test_subsets_by_index_keep_the_reference_and_the_masks(views: NDArray[np.uint8]) -> None:
     valid = np.random.default_rng(0).random((15, HEIGHT, WIDTH)) > 0.5
     part = LightField.from_grid(views, valid=valid).subset([0, 14])
     np.testing.assert_array_equal(part.positions, [[0, 0], [2, 1], [4, 2]])
     assert part.reference == 1
     assert part.valid is not None
     np.testing.assert_array_equal(part.valid, valid[[0, 7, 14]])
+    assert light_field.subset("full") is light_field
+    assert light_field.subset(range(len(light_field.views))) is light_field
+    diagonal = LightField(np.zeros((3, 2, 2), np.uint8), np.array([[0, 0], [1, 1], [2, 2]]), name="diagonal")
+    with pytest.raises(LightFieldError, match="diagonal: the subset 'row' leaves the reference view alone"):
+        diagonal.subset("row")
 
 
 def test_crop_takes_geometry_masks_and_truth_along(views: NDArray[np.uint8]) -> None:
@@ -155,9 +143,7 @@ def test_crop_takes_geometry_masks_and_truth_along(views: NDArray[np.uint8]) -> 
     part = light_field.crop(np.s_[1:5], np.s_[2:])
     window = np.s_[1:5, 2:8]
     np.testing.assert_array_equal(part.view(0, 3), views[0, 3][window])
-    assert part.valid is not None
     np.testing.assert_array_equal(part.valid[4], valid[4][window])
-    assert part.truth is not None
     assert part.truth.mask is not None
     np.testing.assert_array_equal(part.truth.disparity, disparity[window])
     np.testing.assert_array_equal(part.truth.mask, (disparity % 2 == 0)[window])
@@ -176,29 +162,26 @@ def test_truth_belongs_to_one_view(views: NDArray[np.uint8]) -> None:
     assert LightField.from_grid(views).reference_truth() is None
 
 
-def test_downsampled_means_blocks(views: NDArray[np.uint8]) -> None:
+def test_downsampled_means_blocks(views: NDArray[np.uint8], light_field: LightField) -> None:
     valid = np.ones((15, HEIGHT, WIDTH), np.bool_)
     valid[0, 5, 7] = False
     coarse = LightField.from_grid(views, valid=valid, geometry=Geometry(1.0, 1.0)).downsampled(2)
     assert coarse.views.shape == (15, 3, 4, 3)
     assert coarse.views.dtype == np.float32
     np.testing.assert_allclose(coarse.view(2, 4)[1, 3], views[2, 4, 2:4, 6:8].mean(axis=(0, 1)) / 255, rtol=1e-5)
-    assert coarse.valid is not None
     assert not coarse.valid[0, 2, 3]
     assert coarse.valid.sum() == 15 * 12 - 1
     assert (coarse.geometry, coarse.truth) == (None, None)
-
-
-def test_downsampled_twice_is_downsampled_further() -> None:
-    """Up to what fills no block, which is left out at the end."""
+    # Up to what fills no block, which is left out at the end.
     rng = np.random.default_rng(0)
     fine = LightField.from_grid(rng.integers(0, 256, (3, 3, 75, 93, 3), np.uint8), valid=rng.random((9, 75, 93)) < 0.99)
     once, twice = fine.downsampled(8), fine.downsampled(4).downsampled(2)
     assert once.views.shape == twice.views.shape == (9, 9, 11, 3)
     np.testing.assert_allclose(twice.views, once.views, rtol=1e-5)
-    assert once.valid is not None
     assert np.array_equal(once.valid, twice.valid)
     assert 0 < once.valid.mean() < 1
+    assert light_field.downsampled(4).size == (1, 2)
+    assert light_field.downsampled(1).size == (HEIGHT, WIDTH)
 
 
 @pytest.mark.parametrize("which", ["cross", "row", [0, 3, 7]])
@@ -210,24 +193,20 @@ def test_downsampled_some_views(light_field: LightField, which: Any) -> None:
     assert len(some.views) < len(light_field.views)
 
 
-def test_a_subset_of_all_is_the_light_field(light_field: LightField) -> None:
-    assert light_field.subset("full") is light_field
-    assert light_field.subset(range(len(light_field.views))) is light_field
-
-
-def test_downsampled_leaves_out_what_fills_no_block(light_field: LightField) -> None:
-    assert light_field.downsampled(4).size == (1, 2)
-    assert light_field.downsampled(1).size == (HEIGHT, WIDTH)
-
-
 def views_of(n: int = 3, **changes: Any) -> dict[str, Any]:
     """Arguments of a good light field of n views in a row, with changes."""
     positions = np.stack([np.arange(n), np.zeros(n)], axis=1)
     return {"views": np.zeros((n, 4, 4, 3), np.uint8), "positions": positions} | changes
 
 
-def test_the_good_arguments_are_good() -> None:
+def test_good_arguments_are_good_and_positions_are_copied() -> None:
     assert LightField(**views_of()).reference == 1
+    with pytest.raises(LightFieldError, match=r"\(3, 4, 4\)"):
+        LightField.from_grid(np.zeros((3, 4, 4), np.uint8))
+    positions = np.array([[0.0, 0.0], [1.0, 0.0]])
+    light_field = LightField(np.zeros((2, 3, 3), np.uint8), positions)
+    positions[:] = 7
+    np.testing.assert_array_equal(light_field.positions, [[0, 0], [1, 0]])
 
 
 @pytest.mark.parametrize(
@@ -262,11 +241,6 @@ def test_what_is_no_light_field_is_refused(changes: dict[str, Any], words: list[
     assert all(word in str(error.value) for word in words), error.value
 
 
-def test_grids_must_have_their_axes() -> None:
-    with pytest.raises(LightFieldError, match=r"\(3, 4, 4\)"):
-        LightField.from_grid(np.zeros((3, 4, 4), np.uint8))
-
-
 @pytest.mark.parametrize(
     ("words", "ask"),
     [
@@ -285,19 +259,6 @@ def test_requests_that_cannot_be_met(light_field: LightField, words: str, ask: C
     with pytest.raises(LightFieldError) as error:
         ask(light_field)
     assert words in str(error.value)
-
-
-def test_a_line_of_one_view_is_no_subset() -> None:
-    diagonal = LightField(np.zeros((3, 2, 2), np.uint8), np.array([[0, 0], [1, 1], [2, 2]]), name="diagonal")
-    with pytest.raises(LightFieldError, match="diagonal: the subset 'row' leaves the reference view alone"):
-        diagonal.subset("row")
-
-
-def test_positions_are_copied() -> None:
-    positions = np.array([[0.0, 0.0], [1.0, 0.0]])
-    light_field = LightField(np.zeros((2, 3, 3), np.uint8), positions)
-    positions[:] = 7
-    np.testing.assert_array_equal(light_field.positions, [[0, 0], [1, 0]])
 
 
 def test_masks_choose_views() -> None:

@@ -118,7 +118,6 @@ def gaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_maps_of_a_film_with_gaps_belong_to_its_frames(gaps: Path) -> None:
     contents = opened_all([gaps / "maps", gaps / "film"])
-    assert contents.film is not None
     assert list(contents.film.frames) == [0, 2, 5]
     for number, played in ((5, 2), (2, 1), (0, 0)):
         found = contents.turned(number).entries["maps"]
@@ -263,7 +262,6 @@ def _found(device: str, image: np.ndarray, last: np.ndarray, fields: list[np.nda
     """`same`, and the fields carried along the motion."""
     kernels = load("warp")
     live = kernels.streaming
-    assert live is not None
     size = image.shape[:2]
     motion, same = live.motion(kernels.image(image, device)), kernels.zeros(size, device)
     motion.find(kernels.image(image, device), kernels.image(last, device), tolerance=0.01, same_out=same)

@@ -20,6 +20,7 @@ from lfgpu.data.views_result import ViewsResult
 from lfgpu.machine import version_of
 from lfgpu.methods import PRESETS, PresetName
 from lfgpu.metrics import Sparsification, evaluate, sparsification
+from tests.made import made_result
 
 SIZE = (40, 48)
 GEOMETRY = lfgpu.Geometry(50.0, 0.1, 2.0)
@@ -30,25 +31,10 @@ def a_light_field(**options: Any) -> lfgpu.LightField:
 
 
 def a_result(lf: lfgpu.LightField, error: float = 0.1) -> DepthResult:
-    assert lf.truth is not None
     disparity = lf.truth.disparity + np.float32(error)
-    u, v = lf.positions[lf.reference_index]
-    return DepthResult(
-        disparity,
-        np.full(SIZE, 0.5, np.float32),
-        {"sweep": disparity},
-        (float(u), float(v)),
-        (-1.0, 1.0),
-        PRESETS["fast"],
-        "It stopped.",
-        True,
-        (),
-        {"total": 1.25},
-        "warp",
-        "cpu",
-        geometry=GEOMETRY,
-        name=lf.name,
-    )
+    position = tuple(lf.positions[lf.reference_index].tolist())
+    told = {"disparity_range": (-1.0, 1.0), "timings": {"total": 1.25}, "geometry": GEOMETRY, "name": lf.name}
+    return made_result(disparity, position=position, **told)
 
 
 def maps_of_all_views(lf: lfgpu.LightField) -> ViewsResult:
@@ -216,7 +202,6 @@ def test_a_result_is_scored_against_the_truth_of_its_light_field() -> None:
 
 def test_what_cannot_be_scored_is_a_sentence() -> None:
     lf = a_light_field()
-    assert lf.truth is not None
     result = a_result(lf)
     other = lfgpu.GroundTruth(lf.truth.disparity, (0.0, 2.0))
     for estimate, truth, words in (

@@ -1,10 +1,19 @@
-"""The benchmark's measures against values worked out by hand."""
+"""The benchmark's measures against values worked out by hand, and the folder that the HCI benchmark takes."""
+
+import re
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
+from typer.testing import CliRunner
 
+from lfgpu.cli import app
 from lfgpu.errors import LightFieldError
-from lfgpu.metrics import Metrics, Sparsification, evaluate, other_unit, reliability, sparsification
+from lfgpu.io import read_map, write_hci, write_pfm
+from lfgpu.io.hci_submission import SCENES, read_region_masks, write_submission
+from lfgpu.metrics import Metrics, Sparsification, evaluate, evaluate_regions, other_unit, reliability, sparsification
+from lfgpu.scenes import make
 
 NAN = float("nan")
 
@@ -20,25 +29,16 @@ def test_values_by_hand() -> None:
     assert (m.badpix_07, m.badpix_03, m.badpix_01) == (25.0, 37.5, 50.0)
     assert m.q25 == 0.0
     assert (m.undefined, m.count) == (0.0, 8)
-
-
-def test_q25_is_the_quantile_of_absolute_errors_times_100() -> None:
     # sorted |error| 1 2 3 4 5: the 25 % quantile is the second one
     assert evaluate([[-5, 4, -3, 2, 1]], np.zeros((1, 5)), border=0).q25 == 200.0
-
-
-def test_badpix_counts_only_what_is_strictly_worse() -> None:
     m = evaluate([[0.07, 0.03, 0.01, 0.0701]], np.zeros((1, 4)), border=0)
     assert (m.badpix_07, m.badpix_03, m.badpix_01) == (25.0, 50.0, 75.0)
-
-
-def test_a_perfect_map_scores_zero() -> None:
     truth = np.random.default_rng(0).normal(size=(40, 50)).astype(np.float32)
     m = evaluate(truth, truth)
     assert m == Metrics(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 10 * 20)
 
 
-def test_the_border_is_left_out() -> None:
+def test_what_is_scored() -> None:
     disparity = np.full((40, 41), 9.0)
     disparity[15:25, 15:26] = 0.5
     m = evaluate(disparity, np.zeros((40, 41)))
@@ -46,17 +46,12 @@ def test_the_border_is_left_out() -> None:
     assert m.count == 10 * 11
     disparity[14, 20] = disparity[20, 26] = 1e9
     assert evaluate(disparity, np.zeros((40, 41))) == m
-
-
-def test_the_mask_says_where_is_scored() -> None:
     disparity = np.array([[1.0, 0.0], [1.0, 1.0]])
     m = evaluate(disparity, np.zeros((2, 2)), mask=[[True, True], [False, False]], border=0)
     assert (m.count, m.badpix_07, m.mse_100) == (2, 50.0, 50.0)
-
-
-def test_unknown_truth_is_left_out() -> None:
     m = evaluate([[0.0, 5.0, 5.0, 0.5]], [[0.0, NAN, np.inf, 0.0]], border=0)
     assert (m.count, m.badpix_07, m.rmse) == (2, 50.0, pytest.approx(0.125**0.5))
+    assert evaluate(np.zeros((31, 31)), np.zeros((31, 31))).count == 1
 
 
 @pytest.mark.parametrize("undefined", [NAN, np.inf, -np.inf])
@@ -93,10 +88,6 @@ def test_bad_input_is_said_so(disparity: object, truth: object, options: dict[st
     assert all(word in str(error.value) for word in words)
 
 
-def test_the_smallest_map_that_a_border_leaves() -> None:
-    assert evaluate(np.zeros((31, 31)), np.zeros((31, 31))).count == 1
-
-
 # --- sparsification ---
 
 
@@ -114,7 +105,7 @@ def rows_of(curve: Sparsification) -> dict[int, tuple[float, float]]:
 TWENTY = np.where(np.arange(20) < 4, 0.5, 0.0)  # the first four of twenty pixels are bad
 
 
-def test_the_curve_of_a_confidence_that_knows_all_is_the_oracles() -> None:
+def test_the_curve_is_between_all_right_and_all_wrong() -> None:
     curve = curve_of(TWENTY, np.arange(20))
     assert list(np.round(curve.kept)) == list(range(100, 0, -5))
     # 20, 19, 18, 17, 16, 15 .. pixels are kept, and 4, 3, 2, 1, 0, 0 .. of them bad
@@ -122,18 +113,12 @@ def test_the_curve_of_a_confidence_that_knows_all_is_the_oracles() -> None:
     np.testing.assert_allclose(curve.oracle, curve.bad, atol=1e-9)
     assert curve.ause == pytest.approx(0, abs=1e-12)
     assert (curve.monotone, curve.threshold, curve.count) == (True, 0.07, 20)
-
-
-def test_a_confidence_that_is_all_wrong() -> None:
     curve = curve_of(TWENTY, -np.arange(20))
     rows = rows_of(curve)
     assert rows[100] == pytest.approx((20, 20))
     assert rows[50] == pytest.approx((40, 0))
     assert rows[20] == rows[5] == pytest.approx((100, 0))
     assert not curve.monotone
-
-
-def test_pixels_of_one_confidence_are_bad_in_the_proportion_of_them_all() -> None:
     curve = curve_of(TWENTY, np.full(20, 0.3))
     np.testing.assert_allclose(curve.bad, 20)
     assert curve.monotone
@@ -141,9 +126,6 @@ def test_pixels_of_one_confidence_are_bad_in_the_proportion_of_them_all() -> Non
     difference = [1 - 5 * max(0, (k - 16) / k) for k in range(1, 21)]
     assert curve.ause == pytest.approx(0.05 * (sum(difference) - (difference[0] + difference[-1]) / 2))
     assert curve.ause < 0.95
-
-
-def test_ties_do_not_depend_on_where_the_pixels_are() -> None:
     # ten sure pixels, one of them bad; ten unsure ones, three of them bad
     errors = np.zeros(20)
     errors[[2, 10, 11, 12]] = 0.5
@@ -155,41 +137,26 @@ def test_ties_do_not_depend_on_where_the_pixels_are() -> None:
     np.testing.assert_allclose(curve_of(errors[mixed], confidence[mixed]).bad, curve_of(errors, confidence).bad)
 
 
-def test_shares_between_whole_pixels() -> None:
+def test_what_the_curve_counts(rng: np.random.Generator) -> None:
     # 95 % of four pixels are 3.8: three sure good ones and 0.8 of the bad one
     rows = rows_of(curve_of([1, 0, 0, 0], [0.1, 0.2, 0.3, 0.4]))
     assert rows[95] == pytest.approx((100 * 0.8 / 3.8, 100 * 0.8 / 3.8))
     assert rows[75] == (0, 0)
-
-
-def test_only_the_order_of_the_confidence_counts(rng: np.random.Generator) -> None:
     errors, confidence = rng.normal(0, 0.1, 200), rng.random(200)
     one, other = curve_of(errors, confidence), curve_of(errors, np.exp(9 * confidence))
     np.testing.assert_array_equal(one.bad, other.bad)
     assert one.ause == other.ause
     assert rows_of(one)[100][0] == pytest.approx(evaluate([errors], np.zeros((1, 200)), border=0).badpix_07)
-
-
-def test_bad_is_what_is_strictly_worse_than_the_threshold() -> None:
     assert rows_of(curve_of([0.07, 0.0701], [1, 0]))[100][0] == 50
     assert rows_of(curve_of([0.07, 0.0701], [1, 0], threshold=0.03))[100][0] == 100
     assert rows_of(curve_of([0.07, 0.0701], [1, 0], threshold=0.1))[100][0] == 0
-
-
-def test_undefined_pixels_are_bad_and_undefined_confidence_is_the_least() -> None:
     curve = curve_of([NAN, 0, 0, 0], [0.9, 0.1, 0.2, 0.3])
     assert rows_of(curve)[25] == pytest.approx((100, 0))
     assert rows_of(curve_of([0.5, 0, 0, 0], [NAN, 0, 0.2, 0.3]))[75][0] == 0
-
-
-def test_no_area_where_nothing_is_bad() -> None:
     curve = curve_of(np.zeros(8), np.arange(8))
     assert np.isnan(curve.ause)
     assert curve.monotone
     assert not curve.bad.any()
-
-
-def test_only_scored_pixels_are_in_the_curve(rng: np.random.Generator) -> None:
     truth, mask = np.zeros((40, 44)), rng.random((40, 44)) < 0.5
     disparity, confidence = rng.normal(0, 0.1, truth.shape), rng.random(truth.shape)
     truth[20, 20], mask[20, 20:22] = NAN, True
@@ -257,3 +224,94 @@ def test_a_map_in_another_unit_or_with_the_opposite_sign_is_told() -> None:
     assert "depth and not disparity" in str(other_unit(1 / (noisy + 3), truth))
     assert other_unit(rng.normal(0, 1, truth.shape), truth) is None
     assert other_unit(noisy, np.zeros_like(truth)) is None
+
+
+MAP = np.linspace(-1, 1, 512 * 512, dtype=np.float32).reshape(512, 512)
+
+
+def lfgpu(*arguments: object) -> str:
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert done.exit_code == 0, done.stderr
+    return done.stdout
+
+
+def test_the_folder_of_a_submission(tmp_path: Path) -> None:
+    missing = write_submission(tmp_path / "out", {"cotton": (MAP, 1.25), "dots": (MAP + 1, 3.0)})
+    assert set(missing) == set(SCENES) - {"cotton", "dots"}
+    names = sorted(str(file.relative_to(tmp_path / "out")) for file in (tmp_path / "out").rglob("*.*"))
+    assert names == ["disp_maps/cotton.pfm", "disp_maps/dots.pfm", "runtimes/cotton.txt", "runtimes/dots.txt"]
+    np.testing.assert_array_equal(read_map(tmp_path / "out" / "disp_maps" / "dots.pfm"), MAP + 1)
+    assert float((tmp_path / "out" / "runtimes" / "cotton.txt").read_text()) == 1.25
+
+
+@pytest.mark.parametrize(
+    ("scene", "disparity", "seconds", "words"),
+    [
+        ("kitchen", MAP, 1.0, "'kitchen' is no scene of the benchmark"),
+        ("dots", MAP[:-1], 1.0, "the map of dots is 512 x 511"),
+        ("dots", np.where(MAP > 0.999, np.nan, MAP), 1.0, "undefined in "),
+        ("dots", MAP, 0.0, "the runtime of dots must be a positive number"),
+        ("dots", MAP, float("nan"), "the runtime of dots must be a positive number"),
+    ],
+)
+def test_what_the_benchmark_does_not_take(
+    scene: str, disparity: np.ndarray, seconds: float, words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(LightFieldError, match=re.escape(words)):
+        write_submission(tmp_path / "out", {"cotton": (MAP, 1.0), scene: (disparity, seconds)})
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_submission_from_what_depth_wrote(tmp_path: Path) -> None:
+    lf = make("boxes", grid=(1, 3), size=(512, 512))
+    write_hci(lf, tmp_path / "scene")
+    lfgpu("depth", tmp_path / "scene", "-o", tmp_path / "Cotton", "--preset=fast", "--disparity-range=-2,2")
+    said = " ".join(lfgpu("eval", tmp_path / "Cotton", "--hci-submission", tmp_path / "sent").split())
+    assert "11 are missing: backgammon, dots" in said
+    stored = read_map(tmp_path / "sent" / "disp_maps" / "cotton.pfm")
+    np.testing.assert_array_equal(stored, read_map(tmp_path / "Cotton" / "disparity.pfm"))
+    assert float((tmp_path / "sent" / "runtimes" / "cotton.txt").read_text()) > 0
+    write_pfm(tmp_path / "dots.pfm", MAP)
+    refused = CliRunner().invoke(app, ["eval", str(tmp_path / "dots.pfm"), "--hci-submission", str(tmp_path / "x")])
+    assert refused.exit_code == 1
+    assert "does not say how long it took" in refused.stderr
+
+
+def test_measures_of_regions() -> None:
+    truth = np.zeros((60, 80))
+    found = truth.copy()
+    found[20, 30:40] = 0.2  # too near
+    found[40, 30:40] = -0.2  # too far
+    found[30, 30:35] = np.nan
+    everywhere = np.ones(truth.shape, np.bool_)
+    masks = {"discontinuities": everywhere, "fine": everywhere, "fine_surrounding": everywhere}
+    scores = evaluate_regions(found, truth, masks, border=15)
+    inside = (60 - 30) * (80 - 30) / 100
+    assert scores["discontinuities"] == pytest.approx(25 / inside)
+    assert scores["fine structures, fattening"] == pytest.approx(15 / inside)
+    assert scores["fine structures, thinning"] == pytest.approx(15 / inside)
+    assert "planes, bumpiness" not in scores
+
+
+def test_bumpiness_is_that_of_second_derivatives() -> None:
+    y, x = np.mgrid[:60, :80].astype(np.float64)
+    truth = 0.3 * x - 0.2 * y
+    masks = {"planes": np.ones(truth.shape, np.bool_)}
+    for found, bumpy in ((truth + 0.01 * x + 5, 0.0), (truth + 0.005 * x**2, 1.0), (truth + 0.005 * x * y, 0.5**0.5)):
+        assert evaluate_regions(found, truth, masks)["planes, bumpiness"] == pytest.approx(bumpy, abs=1e-9)
+    assert evaluate_regions(truth + x**3, truth, masks)["planes, bumpiness"] == pytest.approx(5.0)  # at most
+
+
+def test_eval_shows_the_regions_that_a_scene_has(tmp_path: Path) -> None:
+    lf = make("boxes", grid=(3, 3), size=(48, 56))
+    write_hci(lf, tmp_path / "scene")
+    write_pfm(tmp_path / "map.pfm", lf.truth.disparity + np.float32(0.1))
+    assert "discontinuities" not in lfgpu("eval", tmp_path / "map.pfm", tmp_path / "scene")
+    mask = Image.fromarray(np.full((48, 56), 255, np.uint8))
+    mask.save(tmp_path / "scene" / "mask_discontinuities_lowres.png")
+    (tmp_path / "scene" / "evaluation_masks").mkdir()
+    mask.save(tmp_path / "scene" / "evaluation_masks" / "mask_planes.png")
+    assert set(read_region_masks(tmp_path / "scene")) == {"discontinuities", "planes"}
+    said = lfgpu("eval", tmp_path / "map.pfm", tmp_path / "scene")
+    assert re.search(r"discontinuities \(%\) +100.00", said)
+    assert re.search(r"planes, bumpiness \(x100\) +0.00", said)

@@ -1,6 +1,7 @@
-"""The package: its files, its requirements, and the cost of importing it."""
+"""The package: its files, its requirements, the cost of importing it; figures in pages are those of result files."""
 
 import importlib.metadata
+import json
 import pkgutil
 import re
 import subprocess
@@ -12,7 +13,12 @@ from pathlib import Path
 
 import pytest
 from packaging.requirements import Requirement
+from typer.testing import CliRunner
 
+from benchmarks import figures, pages, sources
+from benchmarks.cli import app
+from benchmarks.errors import BenchmarkError
+from benchmarks.results import FOLDER
 from lfgpu import _backends
 
 ROOT = Path(__file__).parents[1]
@@ -40,17 +46,17 @@ def required() -> set[str]:
 # --- what is installed ---
 
 
-def test_every_backend_is_a_package_whose_needs_can_be_installed() -> None:
+def test_packages_are_whole_and_every_extra_is_in_all() -> None:
     for backend, package in _backends._PACKAGES.items():
         assert (ROOT / "kernels" / backend / "__init__.py").is_file()
         assert package in required()
-
-
-def test_all_is_every_extra() -> None:
     extras = SETTINGS["project"]["optional-dependencies"]
     (everything,) = extras["all"]
     large = {"train"}  # PyTorch: only who trains needs it
     assert set(everything.removeprefix("lfgpu[").removesuffix("]").split(",")) == extras.keys() - {"all"} - large
+    there = installed_with_everything()
+    assert {"numpy", "pydantic-core", "hatchling", "websockets"} <= there  # needed by what is needed, too
+    assert sorted(there - pinned().keys()) == []
 
 
 def canonical(name: str) -> str:
@@ -91,12 +97,6 @@ def installed_with_everything() -> set[str]:
     return {name for name, _ in found}
 
 
-def test_what_is_installed_with_the_project_is_pinned() -> None:
-    there = installed_with_everything()
-    assert {"numpy", "pydantic-core", "hatchling", "websockets"} <= there  # needed by what is needed, too
-    assert sorted(there - pinned().keys()) == []
-
-
 CHOSEN = {"docutils": "it is in the public domain, but for a mode of Emacs, which nothing imports"}
 """Packages that name the GPL among several licences, and why they may be needed."""
 
@@ -121,23 +121,33 @@ def test_nothing_that_is_needed_has_the_gpl() -> None:
     assert {name for name, texts in found.items() if any(map(refused.search, texts))} <= CHOSEN.keys(), found
 
 
-def test_links_of_the_project_are_given() -> None:
+def test_metadata_are_those_of_the_project() -> None:
     urls = SETTINGS["project"]["urls"]
     assert set(urls) == {"Repository", "Documentation", "Changelog", "Issues"}
     for url in urls.values():
         assert url.startswith("https://github.com/lfgpu/lfgpu")
         _, blob, path = url.partition("/blob/main/")
         assert not blob or (ROOT / path).is_file()
+    assert SETTINGS["project"]["scripts"].keys() == {"lfgpu"}
+    assert callable(pkgutil.resolve_name(SETTINGS["project"]["scripts"]["lfgpu"]))
+    import lfgpu
+    from lfgpu.methods import METHODS
+
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for text in (SETTINGS["project"]["description"], lfgpu.__doc__ or "", readme):
+        for method in METHODS:
+            assert method in text, text
+    from lfgpu.data.result import DepthResult
+    from lfgpu.methods import PRESETS, method_of
+
+    for preset in PRESETS:
+        for stage in method_of(preset).STAGES:
+            assert f"`{stage.name}`" in (DepthResult.__doc__ or ""), stage.name
 
 
 def test_no_folder_with_code_is_not_a_package() -> None:
     for path in (*HOST, *KERNELS):
         assert (path.parent / "__init__.py").is_file(), name_of(path)
-
-
-def test_the_command_line_entry_exists() -> None:
-    assert SETTINGS["project"]["scripts"].keys() == {"lfgpu"}
-    assert callable(pkgutil.resolve_name(SETTINGS["project"]["scripts"]["lfgpu"]))
 
 
 def test_backends_have_files_of_the_same_names() -> None:
@@ -150,25 +160,6 @@ def test_backends_have_files_of_the_same_names() -> None:
         assert needed <= {path.name for path in (ROOT / "kernels" / backend).glob("*.py")}, backend
 
 
-def test_descriptions_name_the_methods() -> None:
-    import lfgpu
-    from lfgpu.methods import METHODS
-
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    for text in (SETTINGS["project"]["description"], lfgpu.__doc__ or "", readme):
-        for method in METHODS:
-            assert method in text, text
-
-
-def test_the_stages_of_results_are_described() -> None:
-    from lfgpu.data.result import DepthResult
-    from lfgpu.methods import PRESETS, method_of
-
-    for preset in PRESETS:
-        for stage in method_of(preset).STAGES:
-            assert f"`{stage.name}`" in (DepthResult.__doc__ or ""), stage.name
-
-
 def test_one_version_everywhere() -> None:
     """A release is one number: in the package, in the citation and at the top of the changelog."""
     yaml = pytest.importorskip("yaml", reason="CITATION.cff is YAML: pip install 'lfgpu[calibration]'")
@@ -177,7 +168,6 @@ def test_one_version_everywhere() -> None:
     assert citation["version"] == version
     assert citation["license"] == SETTINGS["project"]["license"]
     first = re.search(r"^## (\S+) \((.*)\)$", (ROOT / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
-    assert first is not None
     assert first[1] == version.partition(".dev")[0]
     assert (first[2] == "unreleased") == (".dev" in version)
 
@@ -212,21 +202,15 @@ def test_an_estimate_loads_neither_scipy_nor_matplotlib(tmp_path: Path) -> None:
     assert not loaded & {"scipy", "matplotlib"}
 
 
-def test_every_public_name_is_there(tmp_path: Path) -> None:
+def test_public_names_are_listed_and_there(tmp_path: Path) -> None:
     done = run_python("import lfgpu; print(all(getattr(lfgpu, name) is not None for name in lfgpu.__all__))", tmp_path)
     assert done.stdout.strip() == "True", done.stderr
-
-
-def test_public_names_are_listed_and_unknown_ones_are_refused() -> None:
     import lfgpu
 
     assert set(lfgpu.__all__) == set(lfgpu._HOMES)
     assert dir(lfgpu) == sorted(lfgpu.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = lfgpu.nothing
-
-
-def test_pipeline_is_public() -> None:
     import lfgpu
     from lfgpu.pipelines.pipeline import DepthPipeline
 
@@ -279,3 +263,200 @@ def test_contributions_meet_the_checks_of_every_machine() -> None:
     template = (ROOT / ".github/pull_request_template.md").read_text(encoding="utf-8")
     for rule in re.findall(r"`make (\w+)`", template):
         assert f"\n{rule}:" in (ROOT / "Makefile").read_text(encoding="utf-8")
+
+
+CONTENT = {
+    "date": "2026-01-02T03:04",
+    "sources": sources.stamp("flicker"),
+    "rows": [{"name": "a b", "n": 1, "ms": 0.1234}, {"name": "a c", "n": 2, "ms": 5.0}],
+}
+MARKED = (
+    "MSE <!-- figure: run.json rows/name=a?b/ms 1000*.1f -->{}<!-- /figure --> of "
+    "<!-- figure: run.json date .10 -->2026-01-02<!-- /figure -->\n"
+)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder of results with one file."""
+    (tmp_path / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    return tmp_path
+
+
+def page_of(folder: Path, text: str) -> Path:
+    page = folder / "README.md"
+    page.write_text(text, encoding="utf-8")
+    return page
+
+
+# --- the pages ---
+
+
+def test_figures_are_those_of_result_files_and_each_is_on_a_page() -> None:
+    found = [mark for page in figures.pages() for mark in figures.marks(page)]
+    differing = figures.listing([mark for mark in found if mark.found != mark.wanted])
+    assert not differing, "run: python -m benchmarks figures"
+    assert {"README.md", "batch.md"} <= {mark.page.name for mark in found}
+    text = "".join(page.read_text(encoding="utf-8") for page in figures.pages())
+    sources = " ".join(mark.source for page in figures.pages() for mark in figures.marks(page))
+    assert [path.name for path in FOLDER.glob("*.json") if path.name not in text + sources] == []
+    names = ["accuracy-0.2.json", "accuracy-0.10.json", "accuracy-0.1.json"]
+    assert pages.newest(names) == "accuracy-0.10.json"
+    assert pages.newest(path.name for path in FOLDER.glob("accuracy-*.json")) == pages.ACCURACY
+
+
+def test_figures_and_tables_are_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    files, make = pages.TABLES["compared"]
+    table = make(*(FOLDER / name for name in files))
+    run = json.loads((FOLDER / pages.ACCURACY).read_text(encoding="utf-8"))
+    ours = {r["details"]["preset"] for r in run["records"]}
+    others = json.loads((FOLDER / pages.PUBLISHED).read_text(encoding="utf-8"))["methods"]
+    assert len(re.findall(r"^\| ", table, re.MULTILINE)) == 2 + len(ours) + len(others)
+    assert all(method["source"] and f"| {method['name']} |" in table for method in others)
+    assert f"{run['machine']['cores']} cores" in table.splitlines()[-1]
+    page = page_of(folder, MARKED.format("0.5"))
+    first, second = figures.marks(page, folder)
+    assert (first.found, first.wanted, first.source) == ("0.5", "123.4", "run.json rows/name=a?b/ms")
+    assert second.found == second.wanted == "2026-01-02"
+    assert figures.write(folder, folder) == [page]
+    assert page.read_text(encoding="utf-8") == MARKED.format("123.4")
+    assert figures.write(folder, folder) == []
+    table = ("run.json",), lambda path: f"| {figures.value(path.parent, path.name, 'date')} |"
+    monkeypatch.setattr(figures, "TABLES", {"dates": table})
+    page = page_of(folder, "text\n\n<!-- table: dates -->\nold\n<!-- /table -->\n\nmore\n")
+    figures.write(folder, folder)
+    wanted = "text\n\n<!-- table: dates -->\n| 2026-01-02T03:04 |\n<!-- /table -->\n\nmore\n"
+    assert page.read_text(encoding="utf-8") == wanted
+
+
+# --- a mark ---
+
+
+@pytest.mark.parametrize(
+    ("mark", "message"),
+    [
+        ("run.json rows/name=a*/ms .1f", "2 entries match"),
+        ("run.json rows/name=z/ms .1f", "0 entries match"),
+        ("run.json rows/0/ms .1f", "names no entry"),
+        ("run.json rows/name=a?b/s .1f", "there is no 's'"),
+        ("run.json rows/name=a?b/ms/x .1f", "there is no 'x'"),
+        ("none.json date .10", "none.json is not there"),
+        ("run.json date .1f", "cannot be written as"),
+        ("run.json date x*.1f", "cannot be written as"),
+    ],
+)
+def test_a_mark_that_leads_nowhere_is_an_error_and_nothing_is_written(folder: Path, mark: str, message: str) -> None:
+    text = f"one <!-- figure: {mark} -->1<!-- /figure -->\n"
+    page = page_of(folder, text)
+    with pytest.raises(BenchmarkError, match=re.escape(message)):
+        figures.write(folder, folder)
+    assert page.read_text(encoding="utf-8") == text
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("a <!-- figure: run.json date .10 -->1\n", "line 1: .* is no whole mark"),
+        ("a\nb <!-- figure: run.json date -->1<!-- /figure -->\n", "line 2: .* is no whole mark"),
+        ("a <!-- /figure -->\n", "is no whole mark"),
+        ("a\n<!-- figure: run.json date .10 -->1<!-- /figure --> b\n", "line 2: a figure begins the line"),
+        ("<!-- table: nosuch -->\n<!-- /table -->\n", "unknown table 'nosuch'; there are ablation"),
+        ("<!-- table: ablation -->\n", "is no whole mark"),
+    ],
+)
+def test_a_mark_that_is_not_whole_is_an_error(folder: Path, text: str, message: str) -> None:
+    with pytest.raises(BenchmarkError, match=message):
+        figures.marks(page_of(folder, text), folder)
+
+
+def test_examples_of_marks_are_none(folder: Path) -> None:
+    page = page_of(folder, "    MSE <!-- figure: x y z -->1<!-- /figure -->\n\n`<!-- table: NAME -->` and so on\n")
+    assert figures.marks(page, folder) == []
+
+
+# --- stale files ---
+
+
+def aged(folder: Path) -> None:
+    old = {**CONTENT, "sources": {"benchmark": "flicker", "hash": "0"}}
+    (folder / "run.json").write_text(json.dumps(old), encoding="utf-8")
+
+
+def test_a_page_says_that_a_file_is_stale_until_it_is_measured_again(folder: Path) -> None:
+    page = page_of(folder, "---\ntop: 1\n---\n\n# Title\n\n" + MARKED.format("123.4"))
+    fresh = page.read_text(encoding="utf-8")
+    assert figures.write(folder, folder) == []
+    aged(folder)
+    differing = [mark for mark in figures.marks(page, folder) if mark.found != mark.wanted]
+    assert [(mark.line, mark.source) for mark in differing] == [(7, "run.json")]
+    figures.write(folder, folder)
+    top, note, rest = re.split(r"<!-- /?stale -->\n", page.read_text(encoding="utf-8"))
+    assert "Older than the code: the figures from `run.json`" in note
+    assert top + rest.removeprefix("\n") == fresh
+    assert figures.write(folder, folder) == []
+    (folder / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    figures.write(folder, folder)
+    assert page.read_text(encoding="utf-8") == fresh
+
+
+def test_files_without_a_hash_are_stale_and_those_of_released_versions_and_of_others_are_not(folder: Path) -> None:
+    assert figures.stale(folder) == []
+    aged(folder)
+    for name in ("older.json", "accuracy-0.1.json", pages.PUBLISHED):
+        (folder / name).write_text('{"rows": []}', encoding="utf-8")
+    assert figures.stale(folder) == ["older.json", "run.json"]
+
+
+def test_the_hash_follows_code_and_not_comments(tmp_path: Path) -> None:
+    for place in (*sources.SOURCES["judge"], "benchmarks"):
+        (tmp_path / place).mkdir(parents=True)
+    code = tmp_path / "kernels" / "warp" / "some.py"
+    native = tmp_path / "kernels" / "warp" / "some.cuh"
+
+    def now() -> str:
+        sources.hash_of.cache_clear()
+        return sources.hash_of("judge", tmp_path)
+
+    def after(text: str, file: Path = code) -> str:
+        file.write_text(text, encoding="utf-8")
+        return now()
+
+    first = after("def f(x):\n    return 2 * x\n")
+    assert after('"""Text."""\n\n\ndef f(x):  # what\n    """Double."""\n    return (\n        2 * x)\n') == first
+    assert after("def f(x):\n    return 3 * x\n") != first
+    assert after("def f(x):\n    return 2 * x\n") == first
+    assert after("2", native) != first
+    native.unlink()
+    (tmp_path / "lfgpu" / "cameras" / "new.py").write_text("x = 1\n", encoding="utf-8")
+    assert now() != first
+
+
+def test_every_benchmark_names_sources_that_there_are() -> None:
+    for benchmark, places in sources.SOURCES.items():
+        missing = [place for place in (f"benchmarks/{benchmark}.py", *places) if not (sources.ROOT / place).exists()]
+        assert missing == [], benchmark
+
+
+# --- the command ---
+
+
+def test_the_command_checks_and_lists(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    page = page_of(folder, MARKED.format("123.4"))
+    monkeypatch.setattr(figures, "pages", lambda: [page])
+    monkeypatch.setattr(figures, "FOLDER", folder)
+    monkeypatch.setattr(figures, "listing", lambda found: [f"{mark.found} < {mark.source}" for mark in found])
+    monkeypatch.setattr(figures, "marks", lambda page, marks=figures.marks: marks(page, folder))
+    runner = CliRunner()
+    assert runner.invoke(app, ["figures", "--check"]).exit_code == 0
+    assert "123.4 < run.json rows/name=a?b/ms" in runner.invoke(app, ["figures", "--list"]).output
+    assert runner.invoke(app, ["figures", "--stale"]).exit_code == 0
+    aged(folder)
+    done = runner.invoke(app, ["figures", "--stale"])
+    assert (done.exit_code, done.output.splitlines()[0]) == (1, "run.json")
+    (folder / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    page_of(folder, MARKED.format("99"))
+    done = runner.invoke(app, ["figures", "--check"])
+    assert done.exit_code == 1
+    assert "99 < run.json" in done.output
+    assert "2026-01-02 <" not in done.output
+    assert "1 figures differ" in done.output

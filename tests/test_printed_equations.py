@@ -1,4 +1,4 @@
-"""The preset `paper-exact` against the printed equations, on every backend; and what `paper` changes in them."""
+"""The preset 'paper-exact' against the printed equations, on every backend; and what 'paper' changes in them."""
 
 import itertools
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import lfgpu
-from lfgpu import scenes
+from lfgpu import estimate_depth, evaluate, scenes
 from lfgpu.contract import Device
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.synthesis.config import SynthesisConfig
@@ -112,7 +112,6 @@ OTHERS = [case for case in itertools.product(scenes.NAMES, (0.0, 0.02)) if case 
 )
 def test_the_refinement_leaves_no_map_worse(name: str, noise: float) -> None:
     lf = scenes.make(name, grid=(7, 7), size=(112, 112), noise=noise)
-    assert lf.truth is not None
     maps = lfgpu.estimate_depth(lf, config="paper", disparity_range=RANGE, device="cpu").stages
     before, after = (lfgpu.evaluate(maps[stage], lf.truth.disparity) for stage in ("propagate", "refine"))
     assert after.badpix_07 <= before.badpix_07
@@ -123,7 +122,6 @@ def test_the_refinement_leaves_no_map_worse(name: str, noise: float) -> None:
 def test_without_acceptance_it_does() -> None:
     """So that the test above is one."""
     lf = scenes.make("boxes", grid=(7, 7), size=(112, 112))
-    assert lf.truth is not None
     config = preset("paper").with_values({"refinement.acceptance": "whole"})
     maps = lfgpu.estimate_depth(lf, config=config, disparity_range=RANGE, device="cpu").stages
     before, after = (lfgpu.evaluate(maps[stage], lf.truth.disparity) for stage in ("propagate", "refine"))
@@ -146,3 +144,11 @@ def test_what_is_accepted_lies_between_both_maps(target: Any) -> None:
     assert moved.max() <= longest + 1e-6
     assert (moved == 0).mean() > 0.1
     assert (moved > 1e-4).mean() > 0.1
+
+
+@pytest.mark.parametrize("name", ["boxes", "planes", "relief", "textureless"])
+def test_the_judge_lets_nothing_through_that_makes_the_map_worse(name: str) -> None:
+    lf = scenes.make(name, grid=(5, 5), size=(96, 96))
+    result = estimate_depth(lf, config="paper", disparity_range=(-1.6, 1.7), device="cpu")
+    start, end = (evaluate(result.stages[stage], lf.truth.disparity) for stage in ("propagate", "refine"))
+    assert end.mse_100 < start.mse_100

@@ -169,7 +169,7 @@ def test_children_know_that_the_parent_has_used_a_gpu(monkeypatch: pytest.Monkey
 # --- the end ---
 
 
-def test_a_program_that_closes_nothing_ends() -> None:
+def test_programs_that_close_nothing_or_fail_end() -> None:
     """With frames that wait, one that is worked on, and a callback that is called."""
     done = run(
         """
@@ -180,9 +180,6 @@ print("end")
 """
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "end\n", "")
-
-
-def test_a_program_that_fails_ends() -> None:
     done = run(
         """
 stream = lfgpu.DepthStream(lf, policy="queue", waiting=50, **options)

@@ -1,18 +1,145 @@
-"""A range of disparities that was found is widened where surfaces lie at its ends, and only there."""
+"""Ranges of disparities that exclude the scene are said so; ranges that were found are widened where surfaces end."""
 
 import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
+from typer.testing import CliRunner
 
+import lfgpu
 from lfgpu import DepthPipeline, DepthStream, estimate_depth, export_pipeline, scenes
-from lfgpu._backends import load
+from lfgpu._backends import load, open_device
+from lfgpu.cli import app
 from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io import write_hci
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.pipelines.range_confirmation import confirm
+from lfgpu.pipelines.verdict import judged, views_alone
+
+WHERE = open_device("warp", "cpu")
+
+
+@pytest.fixture(scope="module")
+def lf() -> LightField:
+    return scenes.make("boxes", grid=(3, 3), size=(96, 112))
+
+
+@pytest.mark.parametrize("given", [(3.0, 5.0), (-9.0, -5.0)])
+def test_a_range_without_the_scene(lf: LightField, given: tuple[float, float]) -> None:
+    result = lfgpu.estimate_depth(lf, disparity_range=given, config="fast")
+    assert "the map may be wrong everywhere" in result.notes[0]
+    assert result.notes[0] in repr(result)
+    assert result.notes[0] in result._repr_html_()
+
+
+def test_a_range_with_the_scene(lf: LightField) -> None:
+    low, high = float(lf.truth.disparity.min()), float(lf.truth.disparity.max())
+    result = lfgpu.estimate_depth(lf, disparity_range=(-3, 3), config="fast")
+    assert result.notes == ()
+    for given in ((low, high), (low - 1, high + 1), (low - 20, high + 20), (low, (low + 2 * high) / 3), None):
+        assert judged(lf, result, disparity_range=given).notes == ()
+    assert views_alone(lf, WHERE) == ((), ())
+
+
+def test_the_map_of_a_pipeline_says_so_itself(lf: LightField) -> None:
+    """A pipeline does not search for another range: what it says comes from its maps."""
+    pipeline = DepthPipeline(lf, config="fast", disparity_range=(0.5, 3.0))
+    assert any("of the map lies at its far end" in note for note in pipeline.estimate().notes)
+    pipeline.upload(noise_in_a_row(lf.views.shape, 4, 0))
+    assert any("The confidence is at most 0.1 at 95 %" in note for note in pipeline.estimate().notes)
+    assert DepthPipeline(lf, config="fast", disparity_range=(-3.0, 3.0)).estimate().notes == ()
+
+
+def noise_in_a_row(shape: tuple[int, ...], blur: float, seed: int) -> np.ndarray:
+    """Blurred, so that single pixels find something alike."""
+    values = gaussian_filter(np.random.default_rng(seed).normal(size=shape), (0, blur, blur, 0))
+    return np.clip(128 + 40 * values / values.std(), 0, 255).astype(np.uint8)
+
+
+def test_blurred_noise_is_refused_or_not_believed() -> None:
+    """Where it is very smooth, the range finder takes a few pixels of it for evidence."""
+    positions = np.stack([np.arange(5.0), np.zeros(5)], axis=1)
+    refused, results = [], []
+    for blur in (2, 4, 6):
+        for seed in range(4):
+            row = noise_in_a_row((5, 64, 64, 3), blur, seed)
+            try:
+                results.append(lfgpu.estimate_depth(LightField(row, positions), config="fast"))
+            except LightFieldError as error:
+                refused.append(str(error))
+    assert refused
+    assert all("the disparity range cannot be found" in message for message in refused)
+    assert results
+    for result in results:
+        assert any("The confidence is at most 0.1 at 95 %" in note for note in result.notes)
+
+
+def test_blurred_noise_is_not_believed_without_a_look_at_the_cameras() -> None:
+    positions = np.stack([np.arange(5.0), np.zeros(5)], axis=1)
+    for seed in (2, 3):  # those in which a range is found
+        row = LightField(noise_in_a_row((5, 64, 64, 3), 6, seed), positions)
+        result = lfgpu.estimate_depth(row, config="fast", check_cameras=False)
+        assert any("The confidence is at most 0.1 at 95 %" in note for note in result.notes)
+
+
+def test_the_command_says_so(lf: LightField, tmp_path: Path) -> None:
+    write_hci(lf, tmp_path / "in")
+    command = ["depth", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--preset=fast", "--disparity-range=3,5"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    assert "the map may be wrong everywhere" in " ".join(done.stdout.split())
+
+
+NOISE = {
+    "grey": ((3, 3, 64, 72, 1), 1.0),
+    "colour": ((5, 5, 64, 72, 3), 1.0),
+    "of a sensor in the dark": ((5, 5, 64, 72, 3), 0.02),
+    "in a row": ((1, 9, 64, 72, 3), 1.0),
+    "two": ((1, 2, 64, 72, 3), 1.0),
+}
+
+
+def noise(kind: str) -> LightField:
+    """Views that have nothing to do with each other."""
+    shape, contrast = NOISE[kind]
+    values = 0.5 + contrast * (np.random.default_rng(len(kind)).random(shape) - 0.5)
+    return LightField.from_grid(np.rint(255 * values).astype(np.uint8))
+
+
+@pytest.mark.parametrize("kind", NOISE)
+def test_noise_is_said_to_be_nothing_and_is_not_believed(kind: str, tmp_path: Path) -> None:
+    views = noise(kind)
+    notes, remarks = views_alone(views, WHERE)
+    assert "Nowhere do the views look alike" in notes[0]
+    assert remarks == ()
+    with pytest.raises(LightFieldError, match="nowhere do views look alike"):
+        lfgpu.estimate_depth(views)
+    result = lfgpu.estimate_depth(views, disparity_range=(-2, 2))
+    assert "The map means nothing" in result.notes[0]
+    assert result.confidence.max() <= 0.1
+    assert result.uncertainty.min() >= 1.15  # as uncertain as a number that may be anything from -2 to 2
+    result.save(tmp_path / "result.npz")
+    assert lfgpu.load(tmp_path / "result.npz").notes == result.notes
+
+
+def test_all_views_and_tiles_of_noise_are_not_believed_either() -> None:
+    views = noise("grey")
+    assert lfgpu.estimate_all_views(views, disparity_range=(-2, 2), config="fast").confidences.max() < 0.101
+    tiled = lfgpu.estimate_depth(views, disparity_range=(-2, 2), config="fast", max_memory="1GiB")
+    assert tiled.confidence.max() < 0.101
+
+
+def test_commands_say_that_noise_is_nothing(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", noise("grey").views.reshape(3, 3, 64, 72, 1))
+    command = ["depth", str(tmp_path / "a.npy"), "-o", str(tmp_path / "out"), "--preset=fast", "--disparity-range=-2,2"]
+    for done in (CliRunner().invoke(app, ["info", str(tmp_path / "a.npy")]), CliRunner().invoke(app, command)):
+        assert done.exit_code == 0, done.output
+        assert "they are noise, have no texture" in " ".join(done.stdout.split())
+
 
 KERNELS = load("warp")
 
@@ -21,7 +148,6 @@ def left_out(seed: int) -> LightField:
     """What is near has no texture but its outlines, in noise: the range that is found leaves over 10 % of it out."""
     options = {"size": (160, 200), "disparity_range": (-2.274, 0.726), "noise": 0.02, "reference": (5, 0)}
     lf = scenes.make("textureless", seed=seed, grid=(9, 1), channels=1, **options)  # type: ignore[arg-type]
-    assert lf.truth is not None
     assert (lf.truth.disparity > find_disparity_range(lf, Device(KERNELS, "cpu"))[1]).mean() > 0.1
     return lf
 
@@ -53,7 +179,6 @@ def test_it_is_widened_where_surfaces_lie_at_its_ends(beyond: LightField, preset
         on_progress=lambda stage, iteration, value: seen.append(stage),
     )
     low, high = result.disparity_range
-    assert beyond.truth is not None
     assert ((beyond.truth.disparity >= low) & (beyond.truth.disparity <= high)).all()
     assert high - low < 1.5 * np.ptp(beyond.truth.disparity)
     assert ("tiles" in seen) == (max_memory is not None)
@@ -143,27 +268,21 @@ def confirmed(
     return tried[1:]
 
 
-def test_what_is_confirmed_is_not_matched_again() -> None:
-    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
-    assert confirmed(lf, (-1.0, 1.0), -0.9, 0.0, 0.9) == []
-    assert confirmed(lf, (-1.0, 1.0), np.nan, 0.9) == []
-    assert confirmed(lf, (-1.0, 1.0), np.nan) == []
-
-
 def test_the_end_at_which_surfaces_lie_is_moved() -> None:
     lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
     assert confirmed(lf, (-1.0, 1.0), 0.0, 1.5) == [(-1.0, 2.0)]
     assert confirmed(lf, (-1.0, 1.0), -3.0, 0.5) == [(-2.0, 1.0), (-3.5, 1.0)]
     assert confirmed(lf, (-1.0, 1.0), -1.5, 1.5) == [(-2.0, 2.0)]
-
-
-def test_the_found_range_is_the_last_one_if_none_is_wide_enough() -> None:
-    """A sentence says so; further out than 25.6 px nothing is searched."""
-    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
+    # A sentence says so; further out than 25.6 px nothing is searched.
     ends = [(-1.0, 2.0), (-1.0, 3.5), (-1.0, 5.75), (-1.0, 1.0)]
     assert confirmed(lf, (-1.0, 1.0), 0.0, 99.0, sure=False) == ends
     assert confirmed(lf, (-9.0, 9.0), 0.0, 99.0, sure=False) == [(-9.0, 18.0), (-9.0, 9.0)]
     assert confirmed(lf, (-20.0, 20.0), 0.0, 99.0, sure=False) == []
+    assert confirmed(lf, (-1.0, 1.0), -0.9, 0.0, 0.9) == []
+    assert confirmed(lf, (-1.0, 1.0), np.nan, 0.9) == []
+    assert confirmed(lf, (-1.0, 1.0), np.nan) == []
+    # As those of noise are: a few per cent lie near the ends by chance.
+    assert confirmed(lf, (-1.0, 1.0), *np.linspace(-1.0, 1.0, 1000)) == []
 
 
 def test_estimates_and_streams_say_so(caplog: pytest.LogCaptureFixture) -> None:
@@ -179,9 +298,3 @@ def test_estimates_and_streams_say_so(caplog: pytest.LogCaptureFixture) -> None:
         assert stream.bounds == found
         assert note in stream.warnings
     assert caplog.messages.count(note) == 1
-
-
-def test_a_range_over_which_disparities_are_spread_is_kept() -> None:
-    """As those of noise are: a few per cent lie near the ends by chance."""
-    lf = scenes.make("relief", grid=(3, 3), size=(64, 64))
-    assert confirmed(lf, (-1.0, 1.0), *np.linspace(-1.0, 1.0, 1000)) == []

@@ -32,17 +32,11 @@ NO_FIGURES = {
 """Numbers in the README that were not measured."""
 
 
-def test_the_page_of_parameters_is_what_they_say_of_themselves() -> None:
+def test_it_is_short_and_names_every_format_and_scene() -> None:
     found = parameters_page.PAGE.read_text(encoding="utf-8")
     assert found == parameters_page.page(), "run: python tests/parameters_page.py"
-
-
-def test_it_is_short() -> None:
     note = re.compile(r"<!-- stale -->.*?<!-- /stale -->\n\n", re.DOTALL)  # until figures are measured again
     assert len(note.sub("", README).splitlines()) <= 120
-
-
-def test_every_format_and_scene_is_named() -> None:
     formats = (DOCS / "formats.md").read_text(encoding="utf-8")
     for entry in FORMATS:
         assert f"| `{entry.name}` |" in README
@@ -52,14 +46,11 @@ def test_every_format_and_scene_is_named() -> None:
         assert f"| `{name}` |" in page
 
 
-def test_the_names_of_the_python_example_exist() -> None:
+def test_links_commands_and_names_exist() -> None:
     names = re.findall(r"lfgpu\.(\w+)\(", README)
     assert names
     for name in names:
         assert hasattr(lfgpu, name), name
-
-
-def test_links_and_commands_exist() -> None:
     targets = re.findall(r"\]\(([^)#:]+)[#)]", README)
     assert len(targets) > 20
     for target in targets:
@@ -71,10 +62,13 @@ def test_links_and_commands_exist() -> None:
     known = commands | {command.name for command in app.registered_commands}
     for command in re.findall(r"(?:^    |`)lfgpu (\w+)", README, re.MULTILINE):
         assert command in known, command
+    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    version = re.search(r'^version = "(.*)"', settings, re.MULTILINE)
+    assert f"lfgpu-{version[1]}-py3-none-any.whl" in README
 
 
 def test_every_number_is_a_figure_with_a_source_or_none_that_was_measured() -> None:
-    """What stands between marks is held by tests/test_figures.py. Nothing else may look like a measurement."""
+    """What stands between marks is held by tests/test_packaging.py. Nothing else may look like a measurement."""
     prose = MARKED.sub("", README)
     prose = re.sub(r"\]\([^)]*\)|\w*64`?|lfgpu-[\w.-]+whl", "", prose)
     numbers = set(re.findall(r"(?<![\w-])\d[\d.]*\d\w?|(?<![\w-])\d\w?", prose))
@@ -87,16 +81,7 @@ def test_a_figure_that_differs_from_its_source_is_found(tmp_path: Path) -> None:
     page.write_text(WHOLE, encoding="utf-8")
     assert all(mark.found == mark.wanted for mark in figures.marks(page))
     table = re.search(r"<!-- table: compared.*?<!-- /table -->", README, re.DOTALL)
-    assert table is not None
     number = re.search(r"\d\.\d\d", table[0])
-    assert number is not None
     wrong = table[0].replace(number[0], "9.99", 1)
     page.write_text(WHOLE.replace(table[0], wrong), encoding="utf-8")
     assert len([mark for mark in figures.marks(page) if mark.found != mark.wanted]) == 1
-
-
-def test_the_wheel_that_it_names_is_of_this_version() -> None:
-    settings = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
-    version = re.search(r'^version = "(.*)"', settings, re.MULTILINE)
-    assert version is not None
-    assert f"lfgpu-{version[1]}-py3-none-any.whl" in README

@@ -1,4 +1,4 @@
-"""Rendered views against the scene itself, refocused and all-in-focus images, and their files."""
+"""Rendered views against the scene itself, refocused and all-in-focus images, quilts, and their files."""
 
 import resource
 import signal
@@ -10,17 +10,25 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 import tifffile
+from click.testing import Result
 from PIL import Image
+from typer.testing import CliRunner
+from walls import SIZE as WALL
+from walls import wall
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
+from lfgpu.io import save, write_hci
 from lfgpu.io.frames import write_frames, write_image
 from lfgpu.methods import method_of
 from lfgpu.pipelines.all_views import estimate_all_views
-from lfgpu.viz.rendering import filled_from_beside
+from lfgpu.viz.refocusing import all_in_focus, refocus
+from lfgpu.viz.rendering import Renderer, filled_from_beside
 
 SIZE = (80, 96)
 
@@ -73,14 +81,11 @@ def test_views_that_were_left_out_are_rendered_better_than_by_their_neighbours(p
         assert rendered.known.mean() > 0.98
 
 
-def test_the_map_of_a_rendered_view_is_near_its_truth() -> None:
+def test_a_recorded_view_is_rendered_as_it_is_and_a_new_one_near_its_truth() -> None:
     rendered = lfgpu.render_view(kept(), true_maps(), 3.0, 1.0)
     truth = scenes.true_disparity("boxes", 3, 1, grid=(5, 5), size=SIZE)
     assert np.mean(np.abs(rendered.disparity - truth) > 0.07) < 0.05
     assert rendered.position == (1.0, 3.0)
-
-
-def test_a_recorded_view_is_rendered_as_it_is() -> None:
     lf = kept()
     rendered = lfgpu.render_view(lf, maps(), *lf.positions[3, ::-1], sources=1)
     np.testing.assert_allclose(rendered.image, lf.image(3), atol=1e-4)
@@ -146,7 +151,6 @@ def test_what_cannot_be_rendered_is_refused() -> None:
 def test_what_is_at_the_disparity_is_sharp_and_the_rest_is_not() -> None:
     views = scenes.make("relief", grid=(5, 5), size=SIZE, disparity_range=(-1.5, 1.5), dtype=np.float32)
     reference, truth = views.image(views.reference_index), views.truth
-    assert truth is not None
     inner = np.s_[12:-12, 12:-12]
     for disparity in (-0.8, 0.7):
         error = np.abs(lfgpu.refocus(views, disparity) - reference).mean(2)[inner]
@@ -185,7 +189,6 @@ def test_all_in_focus_has_less_noise_and_stays_sharp() -> None:
     noisy = scenes.make("boxes", grid=(5, 5), size=SIZE, dtype=np.float32, noise=0.03)
     clean = recorded()
     middle = clean.reference_index
-    assert noisy.truth is not None
     true = clean.image(middle)
     result = lfgpu.DisparityMap(noisy.truth.disparity, position=noisy.truth.position)
     found = lfgpu.all_in_focus(noisy, result)
@@ -198,7 +201,6 @@ def test_all_in_focus_has_less_noise_and_stays_sharp() -> None:
 
 def test_all_in_focus_where_the_map_or_the_view_knows_nothing() -> None:
     lf = recorded()
-    assert lf.truth is not None
     disparity, valid = lf.truth.disparity.copy(), np.ones(lf.views.shape[:3], np.bool_)
     disparity[30:34, 40:44] = np.nan
     valid[lf.reference_index, 10:13, 10:13] = False
@@ -320,3 +322,128 @@ def test_holes_take_the_colour_of_what_is_no_nearer() -> None:
     np.testing.assert_array_equal(filled[~hidden], image[~hidden])
     alone = filled_from_beside(image, np.where(hidden, -5, disparity).astype(np.float32), hidden, tolerance=0.5)
     assert (alone[hidden] > 0).any(axis=1).all()  # from what is nearer if there is nothing else
+
+
+@pytest.mark.parametrize("disparity", [1.0, -2.0, 0.0])
+@pytest.mark.parametrize("valid", [False, True])
+def test_what_is_in_focus_looks_as_in_the_reference(disparity: float, valid: bool) -> None:
+    lf = wall(disparity, valid=valid)
+    sharp, blurred = refocus(lf, disparity), refocus(lf, disparity + 2)
+    reference = lf.image(lf.reference_index)
+    np.testing.assert_allclose(sharp, reference, atol=1e-5)
+    np.testing.assert_allclose(refocus(lf, disparity, order=1), reference, atol=1e-5)
+    assert np.abs(blurred - reference).mean() > 0.05
+
+
+def test_focus_between_pixels_is_nearly_as_good() -> None:
+    lf = wall(0.5)
+    error = refocus(lf, 0.5) - lf.image(lf.reference_index)
+    assert np.abs(error[2:-2, 2:-2]).max() < 0.05
+
+
+@pytest.mark.parametrize("step", [2, 3])
+@pytest.mark.parametrize("disparity", [-1.5, 0.0, 2.25])
+def test_a_preview_is_every_few_pixels_of_the_whole(step: int, disparity: float) -> None:
+    lf = wall(1.0)
+    truth = DisparityMap(np.full(WALL, 1.0, np.float32))
+    for order in (1, 3):
+        whole, sharp = refocus(lf, disparity, order=order), all_in_focus(lf, truth, order=order)
+        np.testing.assert_allclose(refocus(lf, disparity, step=step, order=order), whole[::step, ::step], atol=1e-6)
+        np.testing.assert_allclose(all_in_focus(lf, truth, step=step, order=order), sharp[::step, ::step], atol=1e-6)
+
+
+def test_a_preview_of_few_views_has_the_reference_among_them() -> None:
+    lf = wall(1.0)
+    views = np.zeros_like(lf.views)
+    views[lf.reference_index] = 0.9
+    dark = LightField(views, lf.positions, reference=lf.reference_index)
+    for most in (2, 3):
+        assert refocus(dark, 0.0, most_views=most).min() >= 0.9 / most - 1e-6
+    for options in ({"step": 0}, {"most_views": 1}, {"order": 2}):
+        with pytest.raises(LightFieldError, match=next(iter(options))):
+            refocus(lf, 0.0, **options)
+        with pytest.raises(LightFieldError, match=next(iter(options))):
+            all_in_focus(lf, DisparityMap(np.zeros(WALL, np.float32)), **options)
+
+
+def test_everywhere_in_focus_takes_noise_away_and_lets_no_occluder_through() -> None:
+    clean = scenes.make("planes", grid=(5, 5), size=(48, 64))
+    noisy = scenes.make("planes", grid=(5, 5), size=(48, 64), noise=0.02)
+    truth, found = clean.image(clean.reference_index), all_in_focus(noisy, DisparityMap(clean.truth.disparity), order=1)
+    before = np.sqrt(np.mean((noisy.image(noisy.reference_index) - truth) ** 2))
+    assert np.sqrt(np.mean((found - truth) ** 2)) < 0.7 * before
+
+
+def test_a_smaller_lens_takes_fewer_views() -> None:
+    lf = wall(1.0)
+    views = lf.views.copy()
+    views[lf.index_of(0, 0)] = 1.0
+    lf = LightField.from_grid(views.reshape(3, 3, *WALL, 1))
+    reference = lf.image(lf.reference_index)
+    np.testing.assert_allclose(refocus(lf, 5.0, aperture=0.5), reference, atol=1e-5)
+    np.testing.assert_allclose(refocus(lf, 1.0, aperture=1.0), reference, atol=1e-4)
+    assert np.abs(refocus(lf, 1.0, aperture=1.5) - reference).mean() > 0.01
+    with pytest.raises(LightFieldError, match="aperture"):
+        refocus(lf, 1.0, aperture=-1)
+
+
+@pytest.fixture(scope="module")
+def planes() -> LightField:
+    return scenes.make("planes", grid=(3, 5), size=(40, 52), seed=1)
+
+
+def render(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["render", *map(str, arguments), "--device=cpu"])
+
+
+def test_a_quilt_goes_from_left_to_right_and_from_the_bottom_up(planes: LightField, tmp_path: Path) -> None:
+    write_hci(planes, tmp_path / "lf")
+    config = method_of("fast").for_rendering
+    maps = lfgpu.estimate_all_views(planes, config=config, disparity_range=(-2, 2), device="cpu")
+    save(maps, tmp_path / "maps.npz")
+    outcome = render(tmp_path / "lf", "--quilt=3x2", "--maps", tmp_path / "maps.npz", "-o", tmp_path / "q.png")
+    assert outcome.exit_code == 0, outcome.output
+    file = tmp_path / "q_qs3x2a1.3.png"
+    assert file.name in outcome.output
+    image = np.asarray(Image.open(file)).astype(float) / 255
+    assert image.shape == (80, 156, 3)
+    renderer = Renderer(planes, maps, device="cpu")
+    for n, u in enumerate((0, 0.8, 1.6, 2.4, 3.2, 4)):
+        row, column = 1 - n // 3, n % 3
+        tile = image[40 * row : 40 * row + 40, 52 * column : 52 * column + 52]
+        np.testing.assert_allclose(tile, renderer(1.0, u).image, rtol=0, atol=0.003)
+
+
+def test_colour_and_depth_side_by_side(planes: LightField, tmp_path: Path) -> None:
+    write_hci(planes, tmp_path / "lf")
+    result = lfgpu.estimate_depth(planes, config="fast", disparity_range=(-2, 2), device="cpu")
+    save(result, tmp_path / "map.pfm")
+    outcome = render(tmp_path / "lf", "--rgbd", "--maps", tmp_path / "map.pfm", "-o", tmp_path / "rgbd.png")
+    assert outcome.exit_code == 0, outcome.output
+    image = np.asarray(Image.open(tmp_path / "rgbd.png")).astype(float)
+    np.testing.assert_array_equal(image[:, :52], planes.views[planes.reference_index])
+    depth = image[:, 52:, 0]
+    assert depth.max() == 255
+    assert np.corrcoef(depth.ravel(), result.disparity.ravel())[0, 1] > 0.99  # white is near
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--quilt=0x4"], "--quilt must be of 2 to 200 views"),
+        (["--quilt=many"], "--quilt must be COLUMNSxROWS"),
+        (["--quilt=2x2", "--rgbd"], "give one of"),
+    ],
+)
+def test_wrong_layouts_are_one_sentence(arguments: list[str], words: str, tmp_path: Path) -> None:
+    outcome = render(tmp_path, *arguments, "-o", tmp_path / "out.png")
+    assert outcome.exit_code == 1
+    assert words in outcome.stderr
+    assert len(outcome.stderr.splitlines()) == 1
+
+
+def test_a_column_of_cameras_makes_no_quilt(planes: LightField, tmp_path: Path) -> None:
+    write_hci(planes.subset("column"), tmp_path / "lf")
+    outcome = render(tmp_path / "lf", "--quilt=2x2", "-o", tmp_path / "out.png")
+    assert outcome.exit_code == 1
+    assert "beside each other" in outcome.stderr

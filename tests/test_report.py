@@ -37,6 +37,7 @@ from lfgpu.reports.report import Origin, html
 from lfgpu.viz import sheets
 from lfgpu.viz.cards import limits_of, scale_of
 from lfgpu.viz.colours import LOOKS, UNDEFINED, painted
+from tests.made import made_result
 
 RANGE = "--disparity-range=-2,2"
 
@@ -52,7 +53,6 @@ def folder(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("compared")
     for name, scene in (("one", lf), ("two", scenes.make("planes", grid=(3, 3), size=(48, 56)))):
         write_hci(scene, place / name)
-        assert scene.truth is not None
         for method, error in (("good", 0.006), ("bad", 0.05)):
             (place / method).mkdir(exist_ok=True)
             write_pfm(place / method / f"{name}.pfm", scene.truth.disparity + error)
@@ -92,25 +92,10 @@ def pictures(page: str) -> list[np.ndarray]:
 
 def result_of(lf: LightField, disparity: np.ndarray | None = None, **changes: Any) -> DepthResult:
     """A result that was not computed: by default the ground truth."""
-    assert lf.truth is not None
     disparity = lf.truth.disparity if disparity is None else disparity
-    result = DepthResult(
-        disparity,
-        confidence=np.full(lf.size, 0.9, np.float32),
-        stages={"sweep": disparity},
-        position=lf.truth.position,
-        disparity_range=(-2.0, 2.0),
-        config=PRESETS["fast"],
-        status="It stopped.",
-        converged=True,
-        trace=(),
-        timings={"compile": 3.0, "sweep": 1.0, "total": 4.0},
-        backend="warp",
-        device="cpu",
-        versions={"lfgpu": "1.2.3"},
-        name=lf.name,
-    )
-    return replace(result, **changes)
+    timings = {"compile": 3.0, "sweep": 1.0, "total": 4.0}
+    told = {"position": lf.truth.position, "timings": timings, "versions": {"lfgpu": "1.2.3"}, "name": lf.name}
+    return made_result(disparity, 0.9, **(told | changes))
 
 
 @pytest.mark.parametrize("preset", ["fast", "paper"])
@@ -137,7 +122,6 @@ def test_report_says_all_and_needs_no_network(preset: str, folder: Path, tmp_pat
     for stage in method_of(result.config).stages:
         assert f"<td>{stage.label}</td>" in page
     truth = scenes.make("boxes", grid=(3, 3), size=(48, 56)).truth
-    assert truth is not None
     m = evaluate(result.disparity, truth.disparity)
     assert f"<b>{m.mse_100:.3f} " in page
     assert f"<b>{m.badpix_07:.2f} " in page
@@ -198,7 +182,6 @@ def test_compilation_is_told_from_the_stages(lf: LightField) -> None:
 
 
 def test_undefined_pixels_are_grey_and_out_of_every_scale(lf: LightField, tmp_path: Path) -> None:
-    assert lf.truth is not None
     holes = lf.truth.disparity.copy()
     holes[:12, :12] = np.nan
     page = html(lf, result_of(lf, holes, stages={"sweep": holes}, uncertainty=np.where(np.isnan(holes), np.nan, 0.1)))
@@ -251,17 +234,12 @@ def test_a_report_does_not_grow_with_the_light_field(rng: np.random.Generator) -
     views = rng.integers(0, 256, (3, *size, 3), dtype=np.uint8)
     lf = LightField(views, np.array([[0, 0], [1, 0], [2, 0]], float), reference=1)
     noise = rng.normal(0, 1, size).astype(np.float32)
-    result = DepthResult(
-        *(noise, rng.random(size, np.float32), {"sweep": noise}, (1.0, 0.0), (-2.0, 2.0), PRESETS["fast"]),
-        *("It stopped.", True, (), {"total": 1.0}, "warp", "cpu"),
-        uncertainty=np.abs(noise),
-    )
+    result = made_result(noise, rng.random(size, np.float32), position=(1.0, 0.0), uncertainty=np.abs(noise))
     assert len(html(lf, result)) < 4e6, "noise is what compresses worst"
 
 
 def test_points_of_epis_are_where_a_map_is_easy_to_judge() -> None:
     lf = scenes.make("planes", grid=(5, 5), size=(96, 128))
-    assert lf.truth is not None
     disparity = lf.truth.disparity
     texture, edge = find_points(lf, disparity)
     near = np.s_[texture.y - 3 : texture.y + 4, texture.x - 3 : texture.x + 4]
@@ -272,7 +250,6 @@ def test_points_of_epis_are_where_a_map_is_easy_to_judge() -> None:
     assert find_points(lf, holes) == []
     assert [point.letter for point in find_points(lf, np.zeros_like(disparity))] == ["A"], "no edge in a plane"
     relief = scenes.make("relief", grid=(7, 7), size=(120, 160))
-    assert relief.truth is not None
     assert [point.letter for point in find_points(relief, relief.truth.disparity)] == ["A"], "slopes are no edges"
     row = lf.subset(lf.row())
     for point in find_points(row, disparity):
@@ -303,7 +280,6 @@ def test_the_line_in_an_epi_follows_the_point() -> None:
 
 
 def test_a_report_with_what_the_judge_says(lf: LightField) -> None:
-    assert lf.truth is not None
     views = lf.views.copy()
     views[1] = np.roll(views[1], 1, axis=1)
     moved = replace(lf, views=views)

@@ -13,12 +13,12 @@ from PIL import Image
 from lfgpu import explain, scenes
 from lfgpu.comparison import Scene, table
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.methods import PRESETS
+from lfgpu.data.result import DisparityMap
 from lfgpu.reports.comparison import write_comparison
 from lfgpu.reports.report import Origin, write_report
 from lfgpu.viz.cards import Mark, cross_hair, scale_of, view_card
 from lfgpu.viz.pages import rendered
+from tests.made import made_result
 
 SCREENS = {"wide": (1600, 1000), "laptop": (1366, 650), "phone": (390, 844)}
 ON_ONE_PAGE = {
@@ -43,22 +43,15 @@ def lf() -> LightField:
 @pytest.fixture(scope="module")
 def report(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A report with everything that one can have."""
-    assert lf.truth is not None
     disparity = lf.truth.disparity + np.linspace(-0.2, 0.2, lf.size[1], dtype=np.float32)
     disparity[:10, :10] = np.nan
-    result = DepthResult(
+    result = made_result(
         disparity,
-        confidence=np.full(lf.size, 0.9, np.float32),
+        0.9,
         stages={"sweep": disparity, "align": disparity},
         position=lf.truth.position,
-        disparity_range=(-2.0, 2.0),
-        config=PRESETS["fast"],
-        status="It stopped.",
-        converged=True,
         trace=(0.3, 0.1),
         timings={"compile": 3.0, "measure": 0.2, "sweep": 1.0, "align": 0.4, "total": 4.6},
-        backend="warp",
-        device="cpu",
         geometry=lf.geometry,
         name="A light field with a name that is far longer than any screen of a phone is wide",
         uncertainty=np.where(np.isnan(disparity), np.float32(np.nan), np.float32(0.1)),
@@ -186,7 +179,6 @@ def test_cross_hairs_are_seen_on_every_picture(browser: Any, rng: np.random.Gene
 
 @pytest.mark.parametrize(("screen", "columns"), [("wide", 4), ("phone", 1)])
 def test_methods_stand_side_by_side(browser: Any, lf: LightField, tmp_path: Path, screen: str, columns: int) -> None:
-    assert lf.truth is not None
     truth = lf.truth.disparity
     maps = {f"method {n}": truth + np.float32(0.02 * n) for n in range(3)}
     scene = Scene("a scene", lf.image(lf.reference_index), truth, maps)
@@ -204,7 +196,6 @@ def test_methods_stand_side_by_side(browser: Any, lf: LightField, tmp_path: Path
 @pytest.mark.parametrize(("ink", "paper"), [("#ddd", "#111"), ("#222", "#fff")])
 def test_notebooks_show_results_on_dark_pages_too(browser: Any, lf: LightField, ink: str, paper: str) -> None:
     page = browser.new_context(viewport={"width": 900, "height": 700}).new_page()
-    assert lf.truth is not None
     shown = DisparityMap(lf.truth.disparity, name="a map")
     page.set_content(f'<body style="background: {paper}; color: {ink}">{shown._repr_html_()}{lf._repr_html_()}</body>')
     background = shot(page)[-1, -1]

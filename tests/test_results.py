@@ -16,6 +16,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_result, read_map, read_result, write_result
 from lfgpu.methods import PRESETS
 from lfgpu.methods.synthesis.config import SynthesisConfig
+from tests.made import made_result
 
 SHAPE = (6, 7)
 MAPS = ("disparity", "confidence")
@@ -24,18 +25,15 @@ MAPS = ("disparity", "confidence")
 def a_result(**changes: Any) -> DepthResult:
     numbers = np.random.default_rng(1).random((5, *SHAPE)).astype(np.float32)
     numbers[2, 0, 0] = np.nan
-    result = DepthResult(
-        disparity=numbers[0],
-        confidence=numbers[1],
+    result = made_result(
+        *numbers[:2],
         stages={"local": numbers[2], "propagate": numbers[3], "refine": numbers[0]},
         position=(4.0, 3.0),
         disparity_range=(-1.25, 1.5),
         config=SynthesisConfig().with_values({"prior.window": 7, "propagation.solver": "lbfgsb"}),
         status="It stopped after 3 iterations: so it is.",
-        converged=True,
         trace=(3.0, 2.5, 0.1 + 0.2),
         timings={"local": 0.1, "total": 0.3},
-        backend="warp",
         device="cuda:0",
         versions={"lfgpu": "0.1.0", "numpy": "2.0"},
         geometry=Geometry(500.0, 0.05, 4.25, (3.0, 2.5), 1.25, (1.0, 2.0)),

@@ -23,7 +23,6 @@ SLOPES = [(0.0, 0.0), (0.11, -0.07), (-0.3, 0.2)]
 
 def truth_of(field: LightField) -> np.ndarray:
     truth = field.reference_truth()
-    assert truth is not None
     return truth.disparity
 
 
@@ -170,7 +169,7 @@ def mismatch(field: LightField, sign: float) -> np.ndarray:
     )
 
 
-def test_relief_looks_the_same_from_everywhere_at_the_true_disparity_and_at_no_other() -> None:
+def test_relief_has_no_occlusion_and_looks_the_same_from_everywhere() -> None:
     field = scenes.make("relief", grid=(3, 5), size=(128, 128), dtype=np.float32)
     right = np.nanstd(mismatch(field, 1.0))
     contrast = field.image(field.reference_index)[..., 1].std()
@@ -178,6 +177,12 @@ def test_relief_looks_the_same_from_everywhere_at_the_true_disparity_and_at_no_o
     assert np.nanstd(mismatch(field, -1.0)) > 0.2 * contrast
     assert np.nanstd(mismatch(field, 0.9)) > 2 * right
     assert np.nanstd(mismatch(field, 1.1)) > 2 * right
+    grid = (5, 7)
+    for row, column in ((0, 0), (0, 6), (4, 3)):
+        assert np.abs(seen_against_middle("relief", row, column, grid=grid, size=(128, 128))).max() < 2e-3
+    disparity = scenes.true_disparity("relief", 2, 3, grid=grid, size=(128, 128))
+    dy, dx = np.gradient(disparity)
+    assert (np.abs(dx) * 3 + np.abs(dy) * 2).max() < 0.5
 
 
 @pytest.mark.parametrize("name", ["planes", "boxes", "textureless", "moving", "still_life"])
@@ -200,15 +205,6 @@ def seen_against_middle(name: str, row: int, column: int, **kwargs: Any) -> np.n
     corners = np.stack([middle[top[inside] + i, left[inside] + j] for i in (0, 1) for j in (0, 1)])
     smooth = np.ptp(corners, axis=0) < 0.15  # not where an edge passes between the pixels
     return own[inside][smooth] - sampled(middle, x, y, order=1)[inside][smooth]
-
-
-def test_relief_has_no_occlusion() -> None:
-    grid = (5, 7)
-    for row, column in ((0, 0), (0, 6), (4, 3)):
-        assert np.abs(seen_against_middle("relief", row, column, grid=grid, size=(128, 128))).max() < 2e-3
-    disparity = scenes.true_disparity("relief", 2, 3, grid=grid, size=(128, 128))
-    dy, dx = np.gradient(disparity)
-    assert (np.abs(dx) * 3 + np.abs(dy) * 2).max() < 0.5
 
 
 @pytest.mark.parametrize("name", ["planes", "boxes", "bars", "textureless", "moving", "still_life"])
@@ -248,7 +244,6 @@ def test_light_field_is_complete(name: str) -> None:
     assert field.views.dtype == np.uint8
     assert field.reference_index == 4
     assert field.views[4].std() > 20  # contrast
-    assert field.geometry is not None
     np.testing.assert_allclose(field.geometry.depth([-1.5, 1.5]), [8.0, 4.0])
 
 
@@ -259,7 +254,6 @@ def test_geometry_makes_sense_for_ranges_on_either_side_of_zero(
     disparity_range: tuple[float, float], depths: tuple[float, float]
 ) -> None:
     field = scenes.make("planes", grid=(1, 2), size=(32, 32), disparity_range=disparity_range)
-    assert field.geometry is not None
     np.testing.assert_allclose(field.geometry.depth(disparity_range), depths)
     np.testing.assert_allclose(field.geometry.disparity(depths), disparity_range)
 
@@ -287,10 +281,18 @@ def test_views_do_not_depend_on_the_reference(name: str) -> None:
     assert not np.array_equal(truth_of(corner), truth_of(middle))
 
 
-def test_truth_of_another_reference_explains_the_views() -> None:
+def test_truth_and_arguments_are_the_same_in_all_three() -> None:
     field = scenes.make("relief", grid=(3, 3), size=(128, 128), dtype=np.float32, reference=(2, 0))
     contrast = field.image(field.reference_index)[..., 1].std()
     assert np.nanstd(mismatch(field, 1.0)) < 0.015 * contrast
+
+    def arguments(function: Any) -> dict[str, Any]:
+        return {p.name: p.default for p in inspect.signature(function).parameters.values()}
+
+    make = arguments(scenes.make)
+    for function, own in ((scenes.sequence, {"frames", "name"}), (scenes.true_disparity, {"row", "column"})):
+        shared = {name: default for name, default in arguments(function).items() if name not in own}
+        assert shared == {name: make[name] for name in shared}
 
 
 @pytest.mark.parametrize("grid", [(1, 5), (4, 1), (2, 2)])
@@ -339,16 +341,7 @@ def test_noise_has_the_deviation_asked_for(channels: int) -> None:
     assert abs(np.corrcoef(first[both], second[both])[0, 1]) < 0.03  # each view has its own
 
 
-def test_textureless_has_large_regions_of_exactly_one_colour() -> None:
-    views = scenes.make("textureless", dtype=np.float32, grid=(1, 3), size=(128, 128)).views
-    for view in views:
-        colours, counts = np.unique(view.reshape(-1, 3), axis=0, return_counts=True)
-        assert np.sum(counts > 300) >= 5  # two patches, a disc, faces of a box
-        assert 0.2 < counts[counts > 300].sum() / view[..., 0].size < 0.7
-        assert len(colours) > 5000  # and the wall has texture
-
-
-def test_bars_are_thin() -> None:
+def test_bars_are_thin_and_textureless_has_regions_of_one_colour() -> None:
     truth = scenes.true_disparity("bars", 1, 1, grid=(3, 3), size=(64, 512))
     for row in truth[::16]:
         bar = row > -0.6
@@ -356,6 +349,12 @@ def test_bars_are_thin() -> None:
         assert len(starts) >= 6
         assert np.median(ends - starts) <= 8
         assert 0.03 < bar.mean() < 0.3
+    views = scenes.make("textureless", dtype=np.float32, grid=(1, 3), size=(128, 128)).views
+    for view in views:
+        colours, counts = np.unique(view.reshape(-1, 3), axis=0, return_counts=True)
+        assert np.sum(counts > 300) >= 5  # two patches, a disc, faces of a box
+        assert 0.2 < counts[counts > 300].sum() / view[..., 0].size < 0.7
+        assert len(colours) > 5000  # and the wall has texture
 
 
 @pytest.mark.parametrize("slope_of_views", [1, 4])
@@ -386,7 +385,7 @@ def test_sequence_moves_things_smoothly_before_a_still_room() -> None:
     assert steps.max() < 3 * steps.min()  # the last meets the first
 
 
-def test_sequence_is_make_over_time() -> None:
+def test_a_sequence_is_make_over_time() -> None:
     kwargs: dict[str, Any] = {"seed": 2, "grid": (1, 2), "size": (48, 48), "noise": 0.02}
     frames = list(scenes.sequence("moving", frames=4, **kwargs))
     same = scenes.make("moving", time=0.75, **kwargs)
@@ -394,6 +393,11 @@ def test_sequence_is_make_over_time() -> None:
     np.testing.assert_array_equal(truth_of(frames[3]), truth_of(same))
     there = scenes.true_disparity("moving", 0, 0, seed=2, grid=(1, 2), size=(48, 48), time=0.75)
     assert not np.array_equal(there, scenes.true_disparity("moving", 0, 0, seed=2, grid=(1, 2), size=(48, 48)))
+    kwargs: dict[str, Any] = {"grid": (1, 2), "size": (64, 64), "dtype": np.float32}
+    start, end = scenes.make("moving", time=0.0, **kwargs), scenes.make("moving", time=1.0, **kwargs)
+    np.testing.assert_allclose(start.views, end.views, atol=1e-3)
+    frames = scenes.sequence(frames=10**9, grid=(1, 2), size=(16, 16))
+    assert next(frames).size == (16, 16)
 
 
 def test_paint_sticks_to_what_moves() -> None:
@@ -408,17 +412,6 @@ def test_paint_sticks_to_what_moves() -> None:
     assert colours.std() > 0.2
     np.testing.assert_allclose(there.texture.sample(*moved[:2] * 64), colours, atol=1e-5)
     np.testing.assert_allclose(there.shape.normals(moved), here.shape.normals(points))
-
-
-def test_motion_starts_again() -> None:
-    kwargs: dict[str, Any] = {"grid": (1, 2), "size": (64, 64), "dtype": np.float32}
-    start, end = scenes.make("moving", time=0.0, **kwargs), scenes.make("moving", time=1.0, **kwargs)
-    np.testing.assert_allclose(start.views, end.views, atol=1e-3)
-
-
-def test_sequence_makes_frames_one_at_a_time() -> None:
-    frames = scenes.sequence(frames=10**9, grid=(1, 2), size=(16, 16))
-    assert next(frames).size == (16, 16)
 
 
 # --- arguments ---
@@ -464,13 +457,3 @@ def test_bad_arguments_of_the_others() -> None:
         scenes.sequence("boxes", frames=2, size=(32, 32), grid=(1, 2))
     with pytest.raises(LightFieldError, match=r"row 1, column 0\) does not exist"):
         scenes.true_disparity("boxes", 1, 0, grid=(1, 2), size=(32, 32))
-
-
-def test_all_three_take_the_same_arguments() -> None:
-    def arguments(function: Any) -> dict[str, Any]:
-        return {p.name: p.default for p in inspect.signature(function).parameters.values()}
-
-    make = arguments(scenes.make)
-    for function, own in ((scenes.sequence, {"frames", "name"}), (scenes.true_disparity, {"row", "column"})):
-        shared = {name: default for name, default in arguments(function).items() if name not in own}
-        assert shared == {name: make[name] for name in shared}

@@ -83,16 +83,13 @@ def test_the_past_is_not_believed_where_the_reference_view_shows_something_else(
         assert wrong(warm) < wrong(cold) + 0.03
 
 
-def test_scene_cut_starts_cold() -> None:
+def test_a_cut_or_a_restart_forgets() -> None:
     """And so the frame after it has the map that it has alone."""
     with made() as stream:
         first, cut = stream.push(other_scene().views), stream.push(frames()[1].views)
         np.testing.assert_array_equal(cut.numpy(), alone("fast", 1))
         assert (first.cut, cut.cut, cut.cold) == (False, True, True)
         assert stream.stats()["scene_cuts"] == 1
-
-
-def test_restart_forgets() -> None:
     with made() as stream:
         stream.push(frames()[0].views).wait()
         stream.restart()

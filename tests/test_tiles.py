@@ -145,6 +145,7 @@ def test_tiles_are_doubted_together() -> None:
     assert set(map_notes(found.disparity, found.confidence, bounds)) <= set(found.notes)
 
 
+@pytest.mark.thorough
 def test_without_a_halo_the_map_would_differ(
     scene: LightField, parameters: Config, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -192,8 +193,6 @@ def test_several_devices_give_the_same(strip: LightField, quick: Config) -> None
     one = tiles._estimate_all(strip, method_of(quick), plan, ["cpu"], options, None)
     two = tiles._estimate_all(strip, method_of(quick), plan, ["cpu", "cpu"], options, None)
     for a, b in zip(one, two, strict=True):
-        assert a is not None
-        assert b is not None
         assert np.array_equal(a.disparity, b.disparity)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_range_check import noise_in_a_row
+from test_range_confirmation import noise_in_a_row
 from typer.testing import CliRunner
 
 import lfgpu

@@ -33,7 +33,6 @@ def test_compared_maps_have_one_scale() -> None:
 
 def test_paths_are_taken_in_any_order(tmp_path: Path) -> None:
     lf = scenes.make("relief", grid=(3, 3), size=SIZE)
-    assert lf.truth is not None
     write_hci(lf, tmp_path / "lf")
     write_pfm(tmp_path / "map.pfm", lf.truth.disparity + 0.1)
     contents = opened_all([tmp_path / "map.pfm", tmp_path / "lf"])
@@ -70,7 +69,6 @@ def test_a_light_field_in_a_file_named_as_maps_are_is_one(tmp_path: Path) -> Non
     lf = wall(1.0)
     np.save(tmp_path / "views.npy", lf.views.reshape(3, 3, *SIZE, 1))
     contents = opened(tmp_path / "views.npy", Contents())
-    assert contents.lf is not None
     np.testing.assert_array_equal(contents.lf.views, lf.views)
 
 
@@ -98,11 +96,9 @@ def test_what_does_not_belong_is_refused(tmp_path: Path) -> None:
 
 def test_scores_belong_to_their_frame() -> None:
     lf = scenes.make("relief", grid=(3, 3), size=(40, 48))
-    assert lf.truth is not None
     board = Board()
     board.show(lf, DisparityMap(lf.truth.disparity + 0.1), name="mine")
     scores = board.contents.scores("mine")
-    assert scores is not None
     assert scores.badpix_07 == 100
     board.update(lf.truth.disparity)  # of an unknown frame
     assert board.contents.scores(LIVE) is None
@@ -117,7 +113,7 @@ def test_scores_belong_to_their_frame() -> None:
     assert TRUTH not in facts
 
 
-def test_what_is_unknown_does_not_stretch_scales() -> None:
+def test_what_is_unknown_is_in_no_scale_and_no_bin() -> None:
     disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
     disparity[0, 0], disparity[0, 1] = np.nan, np.inf
     contents = Contents(None, {"a": Entry(DisparityMap(disparity)), "b": Entry(DisparityMap(disparity * np.nan))})
@@ -125,6 +121,13 @@ def test_what_is_unknown_does_not_stretch_scales() -> None:
     assert -1 <= low < high <= 1
     assert contents.extent("disparity") == pytest.approx((disparity[0, 2], 1))
     assert contents.extent("confidence") is None
+    values = np.array([[0.1, 0.1, 0.9, 5.0, np.nan]], np.float32)
+    np.testing.assert_allclose(histogram(values, 0.0, 1.0, 2), [50, 25])
+    board = Board()
+    board.show(wall(1.0))
+    board.update(np.zeros(SIZE), rate=float("nan"), latency=0.25, dropped=3)
+    stream = json.loads(json.dumps(Facts(board).now(), allow_nan=False))["stream"]
+    assert (stream["rate"], stream["latency"], stream["dropped"]) == (None, 0.25, 3)
 
 
 def test_facts_are_plain_and_say_what_is_the_truth() -> None:
@@ -196,7 +199,6 @@ def test_pictures_are_of_the_frame_that_a_page_was_told() -> None:
     facts = Facts(board)
     told, kept = facts.newest()
     lf = board.contents.lf
-    assert lf is not None
     board.update(np.zeros(SIZE), views=np.zeros_like(lf.views))
     assert facts.contents(told["revision"]) is kept
     newer, contents = facts.newest()
@@ -207,20 +209,7 @@ def test_pictures_are_of_the_frame_that_a_page_was_told() -> None:
     assert facts.contents(told["revision"]) is None  # nobody keeps it
 
 
-def test_unknown_rates_are_not_told() -> None:
-    board = Board()
-    board.show(wall(1.0))
-    board.update(np.zeros(SIZE), rate=float("nan"), latency=0.25, dropped=3)
-    stream = json.loads(json.dumps(Facts(board).now(), allow_nan=False))["stream"]
-    assert (stream["rate"], stream["latency"], stream["dropped"]) == (None, 0.25, 3)
-
-
 @pytest.mark.parametrize(("low", "high", "bins"), [(1.0, 1.0, 5), (0.0, 1.0, 0), (0.0, 1.0, 10**6)])
 def test_a_distribution_needs_bins(low: float, high: float, bins: int) -> None:
     with pytest.raises(LightFieldError, match="there are no"):
         histogram(np.zeros(SIZE, np.float32), low, high, bins)
-
-
-def test_what_is_undefined_or_beyond_is_in_no_bin() -> None:
-    values = np.array([[0.1, 0.1, 0.9, 5.0, np.nan]], np.float32)
-    np.testing.assert_allclose(histogram(values, 0.0, 1.0, 2), [50, 25])

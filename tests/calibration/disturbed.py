@@ -10,7 +10,6 @@ from lfgpu.data.lightfield import LightField
 
 def truth(lf: LightField) -> np.ndarray:
     """The true disparity of the reference view, [y, x]."""
-    assert lf.truth is not None
     return lf.truth.disparity
 
 

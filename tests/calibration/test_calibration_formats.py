@@ -242,16 +242,13 @@ def test_yaml_that_is_no_calibration(tmp_path: Path, content: str, words: str) -
     assert words in refused(tmp_path / "rig.yaml")
 
 
-def test_numbers_of_yaml_without_a_point(tmp_path: Path) -> None:
+def test_yaml_that_is_small_is_read(tmp_path: Path) -> None:
     (tmp_path / "rig.yaml").write_text(
         "left: {K: [1e1, 0, 2, 0, 10, 2, 0, 0, 1], D: [1e-5, 0, 0, 0], image_size: [4, 4]}"
     )
     camera = read_calibration(tmp_path / "rig.yaml").cameras[0]
     assert (camera.focal_length, camera.distortion[0]) == ((10.0, 10.0), 1e-5)
-
-
-def test_aliases_of_yaml_that_stay_small_are_read(tmp_path: Path) -> None:
-    """As programs write them that use one list twice."""
+    # As programs write them that use one list twice.
     path = as_kalibr(rig(), tmp_path)
     text = path.read_text().replace("resolution: [640, 480]", "resolution: &size [640, 480]", 1)
     path.write_text(text.replace("resolution: [640, 480]", "resolution: *size"))

@@ -1,22 +1,30 @@
-"""A glance at cameras without a map; and what `info` and `batch` say of them by themselves."""
+"""A glance and a screening of cameras, what commands say of them by themselves, and the confidence that follows."""
 
 import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from disturbed import truth, with_view
+from scipy import ndimage
 from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import open_device
 from lfgpu.calibration import Misalignment, disturb
+from lfgpu.cameras import points
 from lfgpu.cameras.looking import look, part_of
+from lfgpu.cameras.points import Points
+from lfgpu.cameras.screening import worth_a_look
+from lfgpu.cameras.trust import _spread
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
-from lfgpu.io import write_hci
+from lfgpu.data.result import DepthResult
+from lfgpu.io import read_result, write_hci
 from lfgpu.pipelines.verdict import judged
 
 
@@ -49,13 +57,10 @@ def test_an_axis_that_is_counted_the_wrong_way_is_seen_at_a_glance(boxes: LightF
     assert "opposite senses" in found
 
 
-def test_a_single_view_is_left_to_the_judge(boxes: LightField) -> None:
+def test_nothing_is_seen_of_single_views_or_nothing(boxes: LightField, rng: np.random.Generator) -> None:
     views = boxes.views.copy()
     views[3] = np.roll(views[3], 1, axis=1)
     assert glance(replace(boxes, views=views)) is None
-
-
-def test_views_that_show_nothing_say_nothing_of_cameras(rng: np.random.Generator) -> None:
     assert glance(LightField.from_grid(np.full((3, 3, 32, 32), 100, np.uint8))) is None
     assert glance(LightField.from_grid(rng.integers(0, 255, (3, 3, 64, 64), dtype=np.uint8))) is None
 
@@ -110,3 +115,223 @@ def test_batches_keep_it_in_the_manifest_and_on_the_page(folder: Path, tmp_path:
     assert "out of line" in remarks["moved"][0]
     assert lfgpu.load(tmp_path / "out" / "moved" / "result.npz").remarks == tuple(remarks["moved"])
     assert "the views are out of line" in (tmp_path / "out" / "report.html").read_text()
+
+
+@pytest.fixture(scope="module")
+def nine_by_nine() -> LightField:
+    return scenes.make("boxes", grid=(5, 5), size=(160, 176), seed=3, noise=0.004)
+
+
+def turned(image: np.ndarray, degrees: float) -> np.ndarray:
+    return ndimage.rotate(image, degrees, axes=(1, 0), reshape=False, order=3, mode="nearest")
+
+
+@pytest.mark.parametrize("name", ["boxes", "planes", "relief", "bars"])
+def test_right_cameras_need_no_look(name: str) -> None:
+    lf = scenes.make(name, grid=(5, 5), size=(160, 176), seed=4)
+    assert not worth_a_look(lf, truth(lf))
+    partly = truth(lf).copy()
+    partly[:, :40] = np.nan
+    assert not worth_a_look(lf, partly)
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    valid[:, :30] = False
+    masked = replace(lf, views=np.where(valid[..., None], lf.views, 0), valid=valid)
+    assert not worth_a_look(masked, truth(lf))
+
+
+@pytest.mark.parametrize(
+    ("index", "change"),
+    [
+        (3, lambda image: ndimage.shift(image, (0, 0.15, 0), order=3, mode="nearest")),
+        (12, lambda image: ndimage.shift(image, (-0.15, 0, 0), order=3, mode="nearest")),
+        (20, lambda image: turned(image, 0.15)),
+        (7, lambda image: 0.95 * image),
+    ],
+)
+def test_a_single_view_is_worth_it(nine_by_nine: LightField, index: int, change) -> None:
+    """The reference view, 12, among them."""
+    assert worth_a_look(with_view(nine_by_nine, index, change), truth(nine_by_nine))
+
+
+@pytest.mark.parametrize("how", ["shift=0.15", "roll=0.2", "scale=0.003", "gain=0.05"])
+def test_all_cameras_together_are_worth_it(nine_by_nine: LightField, how: str) -> None:
+    assert worth_a_look(disturb(nine_by_nine, Misalignment.parse(how), seed=1).light_field, truth(nine_by_nine))
+
+
+@pytest.mark.parametrize("preset", ["fast", pytest.param("accurate", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("matrix", [((1, 0), (0, -1)), ((-1, 0), (0, -1)), ((0, 1), (1, 0))])
+def test_wrong_axes_are_worth_it(
+    nine_by_nine: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], preset: str
+) -> None:
+    positions = nine_by_nine.positions @ np.array(matrix, float).T
+    lf = replace(nine_by_nine, positions=positions, grid_shape=None, truth=None, geometry=None)
+    assert worth_a_look(lf, lfgpu.estimate_depth(lf, config=preset, device="cpu").disparity)
+
+
+def test_no_look_is_taken_where_none_is_worth_it(nine_by_nine: LightField, monkeypatch: pytest.MonkeyPatch) -> None:
+    looks: list[LightField] = []
+
+    def choose_points(lf: LightField, *arguments: object, **options: object) -> Points:
+        looks.append(lf)
+        return points.choose_points(lf, *arguments, **options)
+
+    monkeypatch.setattr("lfgpu.cameras.looking.choose_points", choose_points)
+    result = lfgpu.estimate_depth(
+        nine_by_nine, config="fast", disparity_range=(-2, 2), device="cpu", check_cameras=False
+    )
+    assert isinstance(result, DepthResult)
+    assert judged(nine_by_nine, result, device="cpu").remarks == ()
+    assert not looks
+    moved = with_view(nine_by_nine, 3, lambda image: np.roll(image, 1, axis=1))
+    judged(moved, result, device="cpu")
+    assert len(looks) == 1
+
+
+@pytest.mark.parametrize("index", [0, 3, 22])
+def test_what_is_hidden_lands_where_something_nearer_lands(nine_by_nine: LightField, index: int) -> None:
+    """Against a z-buffer: the nearest of all pixels of the reference that land beside a point."""
+    map_, (du, dv) = truth(nine_by_nine), nine_by_nine.offsets[index]
+    height, width = nine_by_nine.size
+    y, x = (grid.ravel() for grid in np.mgrid[8 : height - 8 : 3, 8 : width - 8 : 3])
+    rows, columns = np.mgrid[:height, :width]
+    at_x, at_y = columns - map_ * du, rows - map_ * dv
+    want = []
+    for row, column in zip(y, x, strict=True):
+        lands = (np.abs(at_x - at_x[row, column]) < 0.5) & (np.abs(at_y - at_y[row, column]) < 0.5)
+        want.append(map_[lands].max() - map_[row, column] > 1.2 / np.hypot(*nine_by_nine.offsets.T).max())
+    found = points.hidden(nine_by_nine, map_, y, x, np.array([index]))[0]
+    assert 0.01 < np.mean(want) < 0.5
+    assert (found == np.array(want)).mean() > 0.98
+
+
+INNER = (slice(15, -15), slice(15, -15))
+
+
+@pytest.fixture(scope="module")
+def planes() -> LightField:
+    return scenes.make("planes", grid=(5, 5), size=(128, 144), seed=2, noise=0.004)
+
+
+def estimated(lf: LightField) -> DepthResult:
+    return lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu", check_cameras=False)
+
+
+def right(result: DepthResult, lf: LightField) -> float:
+    """The share of pixels within 0.07 of the truth, which the confidence claims to be."""
+    return float((np.abs(result.disparity - lf.truth.disparity)[INNER] <= 0.07).mean())
+
+
+def said(result: DepthResult) -> float:
+    return float(result.confidence[INNER].mean())
+
+
+@pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
+def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightField, how: str) -> None:
+    wrong = disturb(planes, Misalignment.parse(how), seed=1).light_field
+    before = estimated(wrong)
+    after = judged(wrong, before, device="cpu")
+    assert len(after.remarks) == 1
+    assert "line" in after.remarks[0]
+    assert before.uncertainty is not None
+    assert after.uncertainty is not None
+    assert (after.uncertainty > before.uncertainty).all()
+    errors = np.abs(after.disparity - planes.truth.disparity)[INNER]
+    within = [(errors < result.uncertainty[INNER]).mean() for result in (before, after)]
+    assert within[1] > max(0.85, within[0])  # of errors as a Gaussian has them, 0.68
+    np.testing.assert_array_equal(after.disparity, before.disparity)
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
+def test_over_many_arrays_it_falls_to_what_is_true(planes: LightField, how: str) -> None:
+    """One array can be lucky: its errors may cancel for the texture that there is."""
+    shares, claims, claims_after = [], [], []
+    for seed in range(1, 9):
+        wrong = disturb(planes, Misalignment.parse(how), seed=seed).light_field
+        before = estimated(wrong)
+        shares.append(right(before, planes))
+        claims.append(said(before))
+        claims_after.append(said(judged(wrong, before, device="cpu")))
+    share, claim, claim_after = (float(np.mean(values)) for values in (shares, claims, claims_after))
+    assert claim > share + 0.15
+    assert abs(claim_after - share) < 0.6 * (claim - share)
+
+
+@pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
+def test_uncertainty_grows_where_cameras_are_off(planes: LightField, how: str) -> None:
+    wrong = disturb(planes, Misalignment.parse(how), seed=1).light_field
+    before = estimated(wrong)
+    after = judged(wrong, before, device="cpu")
+    assert before.uncertainty is not None
+    assert after.uncertainty is not None
+    grown = np.nanmedian(after.uncertainty) / np.nanmedian(before.uncertainty)
+    assert grown > 1.1  # not more: what such cameras do to costs makes it large before
+
+
+def test_rotations_count_more_away_from_the_middle(planes: LightField) -> None:
+    wrong = disturb(planes, Misalignment(roll=0.7), seed=1).light_field
+    before = estimated(wrong)
+    share = judged(wrong, before, device="cpu").confidence / np.maximum(before.confidence, 1e-6)
+    assert share[64, 72] > share[15, 15] + 0.1
+
+
+def test_right_cameras_change_nothing_and_brightness_no_confidence(planes: LightField) -> None:
+    result = estimated(planes)
+    after = judged(planes, result, device="cpu")
+    assert (after.notes, after.remarks) == (result.notes, ())
+    assert after.confidence is result.confidence
+    wrong = disturb(planes, Misalignment(gain=0.1), seed=1).light_field
+    result = estimated(wrong)
+    after = judged(wrong, result, device="cpu")
+    assert "brightness" in after.remarks[0]
+    np.testing.assert_array_equal(after.confidence, result.confidence)
+
+
+@pytest.mark.parametrize("memory", [None, "1GiB"])
+def test_estimate_depth_looks_and_the_pipeline_does_not(planes: LightField, memory: str | None) -> None:
+    wrong = disturb(planes, Misalignment(shift=0.5), seed=1).light_field
+    found = lfgpu.estimate_depth(wrong, config="fast", disparity_range=(-2, 2), device="cpu", max_memory=memory)
+    assert "out of line" in found.remarks[0]
+    assert found.remarks[0] in repr(found)
+    pipeline = lfgpu.DepthPipeline(wrong, config="fast", disparity_range=(-2, 2), device="cpu")
+    before = pipeline.estimate()
+    assert before.remarks == ()
+    assert said(found) < said(before) - 0.1
+    np.testing.assert_array_equal(found.disparity, before.disparity)
+
+
+def test_the_spread_is_how_far_each_view_moves_a_pixel(planes: LightField, rng: np.random.Generator) -> None:
+    """Shift, turn (from x to y) and scale of each view as a matrix, applied to pixels of a corner and of the middle."""
+    count, used = len(planes.views), [0, 4, 7, 20]
+    shift, turn, scale = rng.normal(0, 0.5, (count, 2)), rng.normal(0, 0.01, count), rng.normal(0, 0.01, count)
+    found = SimpleNamespace(shift=shift, rotation=np.rad2deg(turn), scale=scale)
+    spread = _spread(planes, found, used)  # type: ignore[arg-type]
+    moving = np.array([[scale, -turn, shift[:, 0]], [turn, scale, shift[:, 1]]]).transpose(2, 0, 1)
+    for y, x in ((0, 0), (127, 5), (64, 72), (3, 140)):
+        moved = moving @ np.array([x - 143 / 2, y - 127 / 2, 1.0])
+        want = np.sqrt((moved**2).sum(1).mean() / (planes.offsets[used] ** 2).sum())
+        np.testing.assert_allclose(spread[y, x], want, rtol=1e-5)
+
+
+def test_a_map_that_says_nothing_of_the_cameras_is_a_result_all_the_same() -> None:
+    valid = np.ones((9, 32, 32), np.bool_)
+    valid[4] = False  # the reference shows next to nothing
+    valid[4, 12:20, 12:20] = True
+    lf = replace(scenes.make("planes", grid=(3, 3), size=(32, 32), seed=1), valid=valid, truth=None)
+    found = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu")
+    assert np.isnan(found.disparity).sum() == 32**2 - 8**2
+    assert found.remarks == ()
+
+
+def test_depth_says_it_and_writes_it(planes: LightField, tmp_path: Path) -> None:
+    wrong = disturb(planes, Misalignment(shift=0.5), seed=1).light_field
+    write_hci(wrong, tmp_path / "lf")
+    options = ["--preset=fast", "--disparity-range=-2,2", "--device=cpu"]
+    outcome = CliRunner().invoke(app, ["depth", str(tmp_path / "lf"), "-o", str(tmp_path / "out"), *options])
+    assert outcome.exit_code == 0, outcome.output
+    assert "out of line" in outcome.stdout
+    result = read_result(tmp_path / "out" / "result.npz")
+    assert len(result.remarks) == 1
+    assert said(result) < said(estimated(wrong)) - 0.1
+    with np.load(tmp_path / "out" / "result.npz") as arrays:
+        assert json.loads(str(arrays["lfgpu"]))["remarks"] == list(result.remarks)

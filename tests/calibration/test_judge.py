@@ -127,24 +127,21 @@ def test_a_row_of_cameras_that_stood_in_a_column(boxes: LightField) -> None:
     assert "at right angles to the line in which their cameras are said to stand: read it with --transpose." in sentence
 
 
-def test_one_picture_is_no_light_field(boxes: LightField) -> None:
+def test_views_without_cameras_to_judge(boxes: LightField) -> None:
     same = LightField(np.repeat(boxes.views[:1], 5, axis=0), [[n, 0] for n in range(5)])
     result = lfgpu.estimate_depth(same, config="fast")
     assert "All views are the same picture" in result.notes[0]
     assert result.confidence.max() <= 0.1
     (sentence,) = lfgpu.explain(same, result).findings
     assert "there is no parallax" in sentence
-
-
-def test_an_outline_that_the_map_has_wrong_says_nothing_of_signs() -> None:
-    """All that is told comes from one place, and there the other order of depth is far better."""
-    lf = scenes.make("relief", grid=(5, 5), size=(160, 160), seed=3)
-    wrong = truth(lf).copy()
-    wrong[70:94, 60:84] += 1.5
-    order = order_of_depth(lf, wrong, views=8)
-    assert order.told > 400
-    assert order.far.sum() < 0.2 * order.near.sum()
-    assert not near_and_far_swapped(lf, wrong)
+    views = np.full((3, 3, 32, 32, 1), 100, np.uint8)
+    lf = LightField.from_grid(views)
+    found = lfgpu.explain(lf, np.zeros((32, 32), np.float32))
+    assert np.isnan(found.shift).all()
+    assert "only 0 points" in found.findings[0]
+    wrong = np.ascontiguousarray(np.roll(truth(boxes), 60, axis=1)[::-1])
+    (sentence,) = lfgpu.explain(boxes, wrong).findings
+    assert "worse than a plane" in sentence
 
 
 def test_the_order_of_depth_does_not_depend_on_how_bright_the_views_are(boxes: LightField) -> None:
@@ -156,16 +153,18 @@ def test_the_order_of_depth_does_not_depend_on_how_bright_the_views_are(boxes: L
     np.testing.assert_allclose([dim.near.sum(), dim.far.sum()], [bright.near.sum(), bright.far.sum()], rtol=0.1)
 
 
-def test_points_that_no_disparity_explains_count_less() -> None:
+def test_maps_are_weighed() -> None:
     """The map takes what is behind thin bars for what is in front: their points move otherwise."""
     lf = scenes.make("bars", grid=(5, 5), size=(160, 160), seed=3, noise=0.02)
     assert lfgpu.explain(lf, ndimage.grey_erosion(truth(lf), 9)).misalignment < 0.01
-
-
-def test_a_map_of_something_else_is_told(boxes: LightField) -> None:
-    wrong = np.ascontiguousarray(np.roll(truth(boxes), 60, axis=1)[::-1])
-    (sentence,) = lfgpu.explain(boxes, wrong).findings
-    assert "worse than a plane" in sentence
+    # All that is told comes from one place, and there the other order of depth is far better.
+    lf = scenes.make("relief", grid=(5, 5), size=(160, 160), seed=3)
+    wrong = truth(lf).copy()
+    wrong[70:94, 60:84] += 1.5
+    order = order_of_depth(lf, wrong, views=8)
+    assert order.told > 400
+    assert order.far.sum() < 0.2 * order.near.sum()
+    assert not near_and_far_swapped(lf, wrong)
 
 
 def test_what_is_not_known_is_not_predicted(boxes: LightField) -> None:
@@ -177,14 +176,6 @@ def test_what_is_not_known_is_not_predicted(boxes: LightField) -> None:
     pictures = dict(residual_pictures(boxes, partial))
     assert len(pictures) == 24
     assert np.isnan(pictures[0]).mean() > 0.35
-
-
-def test_textureless_views_tell_nothing_of_cameras() -> None:
-    views = np.full((3, 3, 32, 32, 1), 100, np.uint8)
-    lf = LightField.from_grid(views)
-    found = lfgpu.explain(lf, np.zeros((32, 32), np.float32))
-    assert np.isnan(found.shift).all()
-    assert "only 0 points" in found.findings[0]
 
 
 def test_maps_that_do_not_belong_are_refused(boxes: LightField) -> None:

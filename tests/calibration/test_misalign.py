@@ -1,18 +1,41 @@
-"""Cameras made worse on purpose: what is drawn is what is recorded, and both calibrations say so."""
+"""Cameras made worse on purpose, raw frames that are rectified on the device, and depth in the original picture."""
+
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.calibration.cameras import Camera, of_quaternion, turned
-from lfgpu.calibration.formats import read_toml
-from lfgpu.calibration.misalign import Misalignment, displacements, disturb
+from lfgpu._backends import load
+from lfgpu.calibration import (
+    Camera,
+    Disturbed,
+    Misalignment,
+    Rectified,
+    disturb,
+    read_rectifier,
+    rectify,
+    write_cameras,
+    write_rectified,
+)
+from lfgpu.calibration.cameras import of_quaternion, turned
+from lfgpu.calibration.formats import Calibration, read_toml
+from lfgpu.calibration.misalign import displacements
 from lfgpu.calibration.parallel import ideal_cameras
+from lfgpu.calibration.resample import pixels
 from lfgpu.cli import app
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
+from lfgpu.io import read_map
+from lfgpu.pipelines.rectifier import Rectifier
+from lfgpu.pipelines.sources import Options, open_source, recorded
 
 
 @pytest.fixture(scope="module")
@@ -22,8 +45,6 @@ def boxes() -> LightField:
 
 def test_ideal_cameras_see_what_the_geometry_says(boxes: LightField) -> None:
     """A point of the reference's map, projected into each camera, is where its disparity puts it."""
-    assert boxes.truth is not None
-    assert boxes.geometry is not None
     d = boxes.truth.disparity
     here = boxes.positions[boxes.reference_index]
     points = boxes.geometry.points(d, position=(float(here[0]), float(here[1])))
@@ -49,16 +70,13 @@ def test_a_turn_moves_the_picture_by_as_many_pixels(boxes: LightField) -> None:
     assert explained.misalignment > 0.3
 
 
-def test_gain_and_offset_are_those_that_are_told(boxes: LightField) -> None:
+def test_gain_seed_and_reference_are_those_that_are_told(boxes: LightField) -> None:
     found = disturb(boxes, Misalignment(gain=0.1, offset=0.05), seed=4)
     for n, view in enumerate(found.light_field.views):
         want = np.clip(np.rint(boxes.views[n] * found.gain[n] + 255 * found.offset[n]), 0, 255)
         assert np.abs(view - want).max() <= 1
     assert np.abs(found.gain - 1).max() > 0.1
     assert np.abs(found.offset).max() > 0.05
-
-
-def test_the_seed_decides_and_the_reference_stays(boxes: LightField) -> None:
     how = Misalignment(shift=0.5, roll=0.1, scale=0.01, distortion=0.05, gain=0.1, offset=0.02, vignetting=0.3)
     once, again, other = (disturb(boxes, how, seed=seed).light_field.views for seed in (1, 1, 2))
     np.testing.assert_array_equal(once, again)
@@ -135,3 +153,279 @@ def test_lenses_are_those_of_opencv(model: str, distortion: tuple[float, ...], r
 
 def test_quaternions_turn_as_vectors_do() -> None:
     np.testing.assert_allclose(of_quaternion(np.cos(0.15), 0, 0, np.sin(0.15)), turned((0, 0, 0.3)), atol=1e-12)
+
+
+SIZE = (60, 80)
+NORMAL, OFFSET = np.array([0.1, -0.2, 1.0]), 2.0  # the plane of points X with NORMAL X = OFFSET, in the world
+
+
+def rig(rng: np.random.Generator, *, ahead: float) -> list[Camera]:
+    """Nine cameras that are turned a little, with lenses, about a plane."""
+    found = []
+    for n in range(9):
+        rotation = turned(0.02 * rng.normal(size=3))
+        centre = np.array([0.05 * (n % 3), 0.05 * (n // 3), ahead * rng.normal()])
+        found.append(
+            Camera(
+                size=SIZE,
+                focal_length=(90.0, 91.0),
+                principal_point=(40.0, 29.0),
+                distortion=(-0.1, 0.02, 0.001, -0.001),
+                rotation=rotation,
+                translation=-rotation @ centre,
+                name=f"camera {n}",
+            )
+        )
+    return found
+
+
+def depth_of_the_plane(camera: Camera) -> np.ndarray:
+    """Return the depth of the plane along the camera's own axis."""
+    rays = camera.rays(pixels(*SIZE)) @ np.asarray(camera.rotation)
+    return (OFFSET - NORMAL @ camera.centre) / (rays @ NORMAL)
+
+
+@pytest.mark.parametrize(("ahead", "close"), [(0.0, 0.004), (0.004, 0.006)])
+@pytest.mark.parametrize("index", [4, 0])
+def test_a_plane_is_found_in_the_picture_as_it_was(ahead: float, close: float, index: int) -> None:
+    cameras = rig(np.random.default_rng(0), ahead=ahead)
+    views = np.random.default_rng(1).integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
+    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
+    found = rectify(pictures, calibration=Calibration(tuple(cameras), "rig", "lfgpu"), depths=(1.5, 2.5))
+    lf, known = found.light_field, found.rig
+    # The true map of a rectified view: where its rays meet the plane, seen from the common frame.
+    geometry = known.geometry
+    assert geometry.principal_point is not None
+    place = lf.positions[index]
+    shift = place * geometry.baseline_m * geometry.focal_length_px / geometry.focus_distance_m
+    plane = (pixels(*SIZE) - geometry.principal_point - shift) / geometry.focal_length_px
+    rays = np.concatenate([plane, np.ones((*SIZE, 1))], -1) @ known.rotation
+    centre = cameras[index].centre - known.ahead[index] * known.rotation[2]
+    true = geometry.disparity((OFFSET - NORMAL @ centre) / (rays @ NORMAL)).astype(np.float32)
+    true[:, :5] = np.nan
+    result = DisparityMap(true, position=(float(place[0]), float(place[1])))
+    depth = found.original_depth(result)
+    there = np.isfinite(depth)
+    assert 0.6 < there.mean() < 0.97
+    np.testing.assert_allclose(depth[there], depth_of_the_plane(cameras[index])[there], rtol=close)
+    assert abs(np.median(depth[there] / depth_of_the_plane(cameras[index])[there]) - 1) < 5e-4
+
+
+def test_depths_are_in_the_unit_of_the_calibration(rng: np.random.Generator, tmp_path: Path) -> None:
+    cameras = rig(rng, ahead=0.001)
+    views = rng.integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
+    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
+    far = [replace(camera, translation=1000 * np.asarray(camera.translation)) for camera in cameras]
+    write_cameras(far, tmp_path / "cameras.toml")
+    found = rectify(pictures, calibration=tmp_path / "cameras.toml", unit="mm", depths=(1500, 2500))
+    want = rectify(pictures, calibration=Calibration(tuple(cameras), "rig", "lfgpu"), depths=(1.5, 2.5))
+    assert found.disparity_range == pytest.approx(want.disparity_range)
+    assert found.rig.corrected_at == pytest.approx(want.rig.corrected_at)
+
+
+def test_without_a_calibration_there_is_no_original(rng: np.random.Generator) -> None:
+    cameras = rig(rng, ahead=0.0)
+    views = rng.integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
+    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
+    found = rectify(pictures, calibration=Calibration(tuple(cameras), "rig", "lfgpu"))
+    map_ = DisparityMap(np.zeros(SIZE, np.float32))
+    with pytest.raises(LightFieldError, match="was not rectified"):
+        replace(found, rig=None).original_depth(map_)
+    with pytest.raises(LightFieldError, match="the map must be of"):
+        found.original_depth(replace(map_, disparity=map_.disparity[:3]))
+
+
+RANGE = (-2.0, 2.0)
+WRONG = Misalignment(shift=2, roll=0.5, scale=0.01, distortion=0.2, gain=0.1, vignetting=0.1)
+
+
+@cache
+def disturbed() -> Disturbed:
+    """Record with a rig of wrong cameras; calibrated exactly, so that only the tones are not known."""
+    return disturb(scenes.make("boxes", grid=(3, 3), size=(96, 112), seed=1, noise=0.004), WRONG, seed=3)
+
+
+@cache
+def rectified() -> Rectified:
+    calibration = Calibration(disturbed().cameras, "rig", "lfgpu")
+    return rectify(disturbed().light_field, calibration=calibration, tones=True, disparity_range=RANGE)
+
+
+@cache
+def rectifier() -> Rectifier:
+    return rectified().rectifier()
+
+
+def raw() -> LightField:
+    return rectifier().pictures(disturbed().light_field.views)
+
+
+def other_frame() -> np.ndarray:
+    """The same cameras before another scene: everything mirrored, which the rectifier need not know."""
+    return np.ascontiguousarray(raw().views[:, ::-1])
+
+
+def test_frames_are_rectified_as_rectify_does_it() -> None:
+    want = rectified()
+    assert want.refinement.kept
+    found = rectifier().rectified(raw(), Device(load("warp"), "cpu"))
+    seen = np.ones(found.views.shape[:3], bool) if found.valid is None else found.valid
+    inner = seen & (
+        np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, 6:, 6:] & np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, :-6, :-6]
+    )
+    off = (found.views.astype(float) - want.light_field.views)[inner] / 255
+    before = (raw().views.astype(float) - want.light_field.views)[inner] / 255
+    assert np.sqrt((before**2).mean()) > 0.05
+    assert np.sqrt((off**2).mean()) < 0.012  # cubic convolution is not quite the spline
+    assert found.geometry == want.light_field.geometry
+    np.testing.assert_array_equal(found.positions, want.light_field.positions)
+
+
+@pytest.mark.parametrize("calibrated", [True, False], ids=["calibration", "refined"])
+def test_what_rectify_wrote_is_a_rectifier(calibrated: bool, tmp_path: Path) -> None:
+    made = rectified()
+    assert made.rig is not None
+    assert made.refinement is not None
+    if calibrated:  # cameras off their plane
+        made = replace(made, rig=replace(made.rig, ahead=np.linspace(-0.1, 0.1, 9), corrected_at=5.0))
+    else:
+        turned = np.tile(np.eye(3), (9, 1, 1))
+        turned[:, 0, 2] = np.arange(9)
+        made = replace(made, rig=None, refinement=replace(made.refinement, homographies=turned))
+    write_rectified(made, tmp_path / "out")
+    found, want = read_rectifier(tmp_path / "out"), made.rectifier()
+    if not calibrated:  # brightness falls off with the distance from the middle of the picture as it was recorded
+        y, x = np.mgrid[:96, :112]
+        from_middle = (x + 8 - 111 / 2) ** 2 + (y - 95 / 2) ** 2
+        np.testing.assert_allclose(want.squared_radius[8], from_middle / (56**2 + 48**2), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.places, want.places, rtol=0, atol=1e-4)
+    np.testing.assert_allclose(found.tones, want.tones, rtol=1e-9)
+    np.testing.assert_allclose(found.squared_radius, want.squared_radius, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.positions, want.positions, rtol=0, atol=1e-9)
+    assert found.valid is not None
+    np.testing.assert_array_equal(found.valid, want.valid)
+    assert found.reference == want.reference
+
+
+@pytest.mark.parametrize("backend", ["warp", "taichi", "reference"])
+def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
+    kernels = load(backend)
+    small = replace(
+        rectifier(),
+        places=rectifier().places[:, :40, :44],
+        squared_radius=rectifier().squared_radius[:, :40, :44],
+        valid=None if rectifier().valid is None else rectifier().valid[:, :40, :44],
+    )
+    first, second = raw().views[:, :40, :44], other_frame()[:, :40, :44]
+    options = {"config": "fast", "disparity_range": RANGE, "backend": backend, "device": "cpu"}
+    pipeline = lfgpu.DepthPipeline(small.pictures(first), rectifier=small, **options)
+    for frame in (first, second):
+        pipeline.upload(frame)
+        pipeline.run()
+        lf = small.rectified(small.pictures(frame), Device(kernels, "cpu"))
+        alone = lfgpu.DepthPipeline(lf, measured=pipeline.measured, **{**options, "disparity_range": None})
+        alone.run()
+        # The reference keeps what lies between whole numbers.
+        close = {"rtol": 0, "atol": 0.05 if backend == "reference" else 1e-6}
+        off = np.abs(pipeline.disparity() - alone.disparity())
+        assert np.nanmedian(off) <= close["atol"]
+        if backend != "reference":
+            np.testing.assert_allclose(pipeline.disparity(), alone.disparity(), **close)
+    assert pipeline.estimate().timings["rectify"] > 0
+
+
+def test_a_stream_takes_raw_pictures_and_other_tones() -> None:
+    options = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
+    with lfgpu.DepthStream(raw(), rectifier=rectifier(), policy="block", prior=None, **options) as stream:
+        found = [stream.push(frame).numpy() for frame in (raw().views, other_frame())]
+        stream.set_tones(rectifier().tones * np.array([2.0, 1.0, 2.0])[:, None])
+        darker = stream.push(raw().views).numpy()
+        assert stream.rectifier.tones[0, 0, 0] == 2 * rectifier().tones[0, 0, 0]
+        measured = stream.measured
+    pipeline = lfgpu.DepthPipeline(raw(), rectifier=rectifier(), measured=measured, config="fast", device="cpu")
+    for frame, disparity in zip((raw().views, other_frame()), found, strict=True):
+        pipeline.upload(frame)
+        pipeline.run()
+        np.testing.assert_allclose(disparity, pipeline.disparity(), rtol=0, atol=1e-5)
+    assert np.nanmax(np.abs(darker - found[0])) > 0
+
+
+def test_wrong_pictures_and_rectifiers_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(LightFieldError, match=r"pictures must be \[9, 96, 112, 3\]"):
+        rectifier().pictures(raw().views[:4])
+    with pytest.raises(LightFieldError, match="nothing that camera 2 shows"):
+        replace(rectifier(), places=np.where(np.arange(9)[:, None, None, None] == 2, np.nan, rectifier().places))
+    with pytest.raises(LightFieldError, match=r"holds no rectified\.npz"):
+        read_rectifier(tmp_path)
+    with pytest.raises(LightFieldError, match="tones of the rectifier"):
+        replace(rectifier(), tones=rectifier().tones[:4])
+    options = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
+    with (
+        lfgpu.DepthStream(rectified().light_field, **options) as stream,
+        pytest.raises(LightFieldError, match="no rectifier"),
+    ):
+        stream.set_tones(rectifier().tones)
+
+
+def test_sources_of_raw_pictures(tmp_path: Path) -> None:
+    """Folders of pictures, one of each camera, and frames that were kept, in which a camera may be missing."""
+    for frame, count in enumerate((9, 9, 8)):
+        folder = tmp_path / "frames" / f"frame_{frame}"
+        folder.mkdir(parents=True)
+        for n, view in enumerate(raw().views[:count]):
+            Image.fromarray(view).save(folder / f"camera_{n}.png")
+    opened = open_source(str(tmp_path / "frames"), Options(rectifier=rectifier()))
+    np.testing.assert_array_equal(opened.first.positions, rectifier().positions)
+    np.testing.assert_array_equal(opened.first.views, raw().views)
+    next(opened.frames)
+    np.testing.assert_array_equal(next(opened.frames).views, raw().views)
+    with pytest.raises(LightFieldError, match=r"frame_2 holds 8 pictures, but .* has 9 cameras"):
+        next(opened.frames)
+    there = np.arange(9) != 7
+    list(recorded(iter([raw().views, (raw().views, there)]), opened.first, tmp_path / "kept"))
+    again = open_source(str(tmp_path / "kept"), Options(rectifier=rectifier()))
+    np.testing.assert_array_equal(again.first.views, raw().views)
+    _, (views, valid) = again.frames
+    np.testing.assert_array_equal(valid, there)
+    np.testing.assert_array_equal(views[there], raw().views[there])
+
+
+def test_tones_of_a_closed_stream() -> None:
+    """A watch may still look when a stream ends and its memory is returned."""
+    stream = lfgpu.DepthStream(raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu")
+    stream.close()
+    tones = 1.25 * rectifier().tones
+    stream.set_tones(tones)
+    np.testing.assert_array_equal(stream.rectifier.tones, tones)
+
+
+def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_rectified(rectified(), tmp_path / "rig")
+    for frame in range(2):
+        folder = tmp_path / "frames" / f"frame_{frame}"
+        folder.mkdir(parents=True)
+        for n, view in enumerate(raw().views):
+            Image.fromarray(view).save(folder / f"camera_{n}.png")
+    (tmp_path / "raw_grabber_for_tests.py").write_text(
+        "import numpy as np\nfrom PIL import Image\nfrom pathlib import Path\n"
+        "def frames():\n"
+        "    files = sorted(Path('frames/frame_0').iterdir())\n"
+        "    yield np.stack([np.asarray(Image.open(file)) for file in files])\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    options = ["--rectify", "rig", "--preset=fast", "--disparity-range=-2,2", "--device=cpu", "--cold"]
+    for source in ("frames", "raw_grabber_for_tests:frames"):
+        outcome = CliRunner().invoke(app, ["live", source, "-o", "out", *options])
+        assert outcome.exit_code == 0, outcome.output
+        found = read_map(tmp_path / "out" / "disparity_000000.pfm")
+        with lfgpu.DepthStream(
+            raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu", prior=None
+        ) as stream:
+            want = stream.push(raw().views).numpy()
+        assert np.nanmean(np.abs(found - want)) < 0.01  # the map of the frame, from a rig that was written as pictures
+    outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "frames", "--device=cpu"])
+    assert outcome.exit_code == 1
+    assert "rectified.npz" in outcome.output
+    outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "rig", "--like", "rig", "--device=cpu"])
+    assert outcome.exit_code == 2
+    assert "--like" in outcome.output

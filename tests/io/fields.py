@@ -39,7 +39,6 @@ def _hci(lf: LightField, place: Path) -> Path:
 
 def _depth(lf: LightField) -> Any:
     """The depth in the unit of a file with dH = 0.5, focalLength = 60 and shift = SHIFT."""
-    assert lf.truth is not None
     return 0.5 * 60.0 / (lf.truth.disparity.astype(np.float64) + SHIFT)
 
 
@@ -201,7 +200,6 @@ BLENDER_STEP, BLENDER_FOCAL = 0.05, 60.0
 
 def blender_depth(lf: LightField) -> Any:
     """The depth of the middle view; there is none behind infinity, where disparities are negative."""
-    assert lf.truth is not None
     return BLENDER_STEP * BLENDER_FOCAL / np.maximum(lf.truth.disparity.astype(np.float64), 1e-4)
 
 

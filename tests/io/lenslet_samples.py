@@ -100,7 +100,6 @@ class Sample:
         y, x = np.mgrid[: shape[0], : shape[1]] * side
         q = self.camera.axes @ (np.asarray(first) - self.camera.middle)
         height, width = self.scene.size
-        assert self.scene.truth is not None
         place = [
             (q[1] + y) / self.camera.row_distance + (height - 1) / 2,
             (q[0] + x) / self.camera.row_distance + (width - 1) / 2,

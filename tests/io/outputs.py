@@ -15,7 +15,7 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DepthResult
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.io import load, read_map, save
-from lfgpu.methods import preset
+from tests.made import made_result
 
 _SIZE = (12, 14)
 
@@ -33,23 +33,13 @@ def a_result() -> DepthResult:
     """Of any method, with everything in it."""
     disparity = np.linspace(-1, 1, _SIZE[0] * _SIZE[1], dtype=np.float32).reshape(_SIZE)
     disparity[2:4, 3] = np.nan
-    return DepthResult(
-        disparity=disparity,
-        confidence=np.full(_SIZE, 0.5, np.float32),
-        stages={"sweep": disparity},
-        position=(1.0, 1.0),
-        disparity_range=(-1.0, 1.0),
-        config=preset("fast"),
-        status="done.",
-        converged=True,
-        trace=(1.0, 0.5),
-        timings={"total": 1.0},
-        backend="warp",
-        device="cpu",
-        versions={"lfgpu": "0.1.0"},
-        geometry=Geometry(100.0, 0.01, 2.0),
-        name="scene",
-    )
+    told = {
+        "disparity_range": (-1.0, 1.0),
+        "trace": (1.0, 0.5),
+        "geometry": Geometry(100.0, 0.01, 2.0),
+        "name": "scene",
+    }
+    return made_result(disparity, status="done.", name="scene", **told)
 
 
 def _result(place: Path) -> Path:

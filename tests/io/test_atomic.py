@@ -75,14 +75,11 @@ def test_a_folder_is_not_written_at_all(tmp_path: Path, exists: bool) -> None:
     assert sorted(tmp_path.rglob("*")) == ([out.parent, out] if exists else [])
 
 
-def test_new_files_have_the_usual_permissions(tmp_path: Path) -> None:
+def test_new_files_have_the_usual_permissions_and_links_are_written_through(tmp_path: Path) -> None:
     (tmp_path / "plain.txt").write_text("")
     with atomic_write(tmp_path / "a.txt") as temporary:
         temporary.write_text("")
     assert (tmp_path / "a.txt").stat().st_mode == (tmp_path / "plain.txt").stat().st_mode
-
-
-def test_a_link_is_written_through(tmp_path: Path) -> None:
     (tmp_path / "real").mkdir()
     link = tmp_path / "link"
     link.symlink_to(tmp_path / "real")

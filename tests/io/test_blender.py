@@ -49,9 +49,6 @@ def test_depth_is_the_truth(rendered: Path, true: LightField) -> None:
     found = read(rendered)
     assert (found.grid_shape, found.views.dtype, found.name) == ((3, 5), np.uint16, "LFPlane")
     truth, geometry = found.reference_truth(), found.geometry
-    assert truth is not None
-    assert true.truth is not None
-    assert geometry is not None
     np.testing.assert_allclose(truth.disparity, true.truth.disparity, atol=1e-4)
     np.testing.assert_allclose(geometry.depth(truth.disparity), blender_depth(true), rtol=1e-5)
     assert geometry.focal_length_px == pytest.approx(BLENDER_FOCAL)
@@ -86,7 +83,6 @@ def test_angles_say_what_a_matrix_does(folder: Path) -> None:
 def test_the_focal_length_without_a_matrix(camera: dict[str, Any], folder: Path) -> None:
     change(folder, camera=camera)
     geometry = read(folder).geometry
-    assert geometry is not None
     assert geometry.focal_length_px == pytest.approx(BLENDER_FOCAL)
 
 
@@ -95,7 +91,6 @@ def test_a_shifted_lens_and_tall_pixels(folder: Path) -> None:
     matrix[0][2], matrix[1][2], matrix[1][1] = 0.25, -0.5, matrix[1][1] * 0.5
     change(folder, camera__projection_matrix=matrix)
     found = read(folder)
-    assert found.geometry is not None
     assert found.geometry.principal_point == pytest.approx((0.75 * 24 - 0.5, 0.5 * 20 - 0.5))
     assert found.geometry.pixel_aspect == pytest.approx(0.5)
     assert found.grid_shape is None  # a row of cameras moves things by half as many pixels as a column does
@@ -116,8 +111,6 @@ def test_layers_depth_without_an_end_and_half_floats(folder: Path, true: LightFi
             image.write(str(file))
     found = read(folder)
     truth = found.reference_truth()
-    assert truth is not None
-    assert true.truth is not None
     assert (truth.disparity[:3] == 0).all()
     assert np.isnan(truth.disparity[3]).all()
     np.testing.assert_allclose(truth.disparity[4:], true.truth.disparity[4:], atol=1e-4)

@@ -1,18 +1,93 @@
-"""One scene in every format: the same views, in their places, moving the way they should; and depth from each."""
+"""The table of formats; one scene in every format: the same views, moving the way they should; and depth from each."""
 
+import inspect
 import re
+import tomllib
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from fields import SAMPLES
-from samples import refusal
+from samples import box, refusal, save_hci, save_named
 from typer.testing import CliRunner
 
 from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import FORMATS, read, recognise
 from lfgpu.io.parallax import axes_agree, runs_as_truth
+
+PROJECT = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+EXTRAS = PROJECT["optional-dependencies"]
+
+
+def test_the_table_is_well_formed_and_a_format_can_be_asked_for(tmp_path: Path) -> None:
+    names = [entry.name for entry in FORMATS]
+    assert len(set(names)) == len(names)
+    for entry in FORMATS:
+        assert entry.name == entry.name.lower()
+        assert " " not in entry.name
+        assert "\n" not in entry.description
+        assert not entry.description.endswith(".")
+        assert set(entry.takes) <= set(inspect.signature(read).parameters)
+        assert entry.extra is None or entry.extra in EXTRAS
+    entry, reason = recognise(save_hci(tmp_path / "a", [0, 1], rows=1, columns=2))
+    assert (entry.name, reason) == ("hci", "it is a folder with input_Cam000.png")
+    entry, reason = recognise(save_named(tmp_path / "b", box(1, 2)))
+    assert entry.name == "named-views"
+    assert "view_00_00.png" in reason
+    entry, reason = recognise(save_named(tmp_path / "c" / "lf", box(1, 2)).parent)
+    assert entry.name == "named-views"
+    assert "lf/view_00_00.png" in reason
+    save_hci(tmp_path, range(9))
+    save_named(tmp_path, box(2, 2))
+    assert read(tmp_path).grid_shape == (3, 3)
+    assert read(tmp_path, format="named-views").grid_shape == (2, 2)
+    assert "unknown format 'hcl'; known are blender, lightfield-toml, hci, " in refusal(
+        lambda: read(tmp_path, format="hcl")
+    )
+
+
+@pytest.mark.parametrize("entry", FORMATS, ids=lambda entry: entry.name)
+def test_every_format_refuses_folders_and_files_that_are_none(entry: Any, tmp_path: Path) -> None:
+    assert entry.recognise(tmp_path) is None
+    assert str(tmp_path) in refusal(lambda: read(tmp_path, format=entry.name))
+    file = tmp_path / "notes.txt"
+    file.write_text("hello")
+    assert entry.recognise(file) is None
+    assert str(file) in refusal(lambda: read(file, format=entry.name))
+
+
+def test_what_is_no_light_field(tmp_path: Path) -> None:
+    missing = refusal(lambda: read(tmp_path / "nowhere"))
+    assert "nowhere does not exist" in missing
+    empty = refusal(lambda: read(tmp_path))
+    assert "an empty folder" in empty
+    assert all(entry.name in empty for entry in FORMATS)
+    for name in ("d.txt", "c.txt", "b.txt", "a.txt"):
+        (tmp_path / name).write_text("")
+    assert "a folder with a.txt, b.txt, c.txt and 1 more" in refusal(lambda: read(tmp_path))
+    text = refusal(lambda: read(tmp_path / "a.txt"))
+    assert "a.txt" in text
+    assert "give the folder" in text
+
+
+@pytest.mark.usefixtures("_permissions_count")
+def test_what_may_not_be_read(tmp_path: Path) -> None:
+    folder = save_named(tmp_path / "views", box(1, 2))
+    (folder / "view_00_01.png").chmod(0)
+    text = refusal(lambda: read(folder))
+    assert "view_00_01.png cannot be read as an image: Permission denied" in text
+    try:
+        for mode in (0, 0o400):  # not to be listed; to be listed, but not to be entered
+            folder.chmod(mode)
+            assert f"{folder} cannot be listed: Permission denied" in refusal(lambda: read(folder))
+            assert "deeper cannot be opened: Permission denied" in refusal(lambda: read(folder / "deeper"))
+    finally:
+        folder.chmod(0o700)
+
 
 DOCS = (Path(__file__).parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
 
@@ -36,10 +111,14 @@ def test_recognised(name: str, written: dict[str, Path]) -> None:
     assert reason
 
 
+@pytest.fixture(scope="module")
+def lf_of(written: dict[str, Path]) -> Callable[[str], LightField]:
+    return cache(lambda name: read(written[name], **SAMPLES[name].options))
+
+
 @pytest.mark.parametrize("name", SAMPLES)
-def test_the_same_light_field_comes_back(name: str, written: dict[str, Path], true: LightField) -> None:
-    sample = SAMPLES[name]
-    found = read(written[name], **sample.options)
+def test_the_same_light_field_comes_back(name: str, lf_of: Callable[[str], LightField], true: LightField) -> None:
+    sample, found = SAMPLES[name], lf_of(name)
     expected = true.subset(sample.views)
     assert len(found.views) == len(expected.views) - (name == "lftoolbox-7.3")  # without its dark corner
     assert found.size == true.size
@@ -53,61 +132,47 @@ def test_the_same_light_field_comes_back(name: str, written: dict[str, Path], tr
 
 
 @pytest.mark.parametrize("name", [name for name, sample in SAMPLES.items() if sample.views == "full"])
-def test_both_axes_run_alike(name: str, written: dict[str, Path]) -> None:
-    assert axes_agree(read(written[name], **SAMPLES[name].options)) is True
+def test_both_axes_run_alike(name: str, lf_of: Callable[[str], LightField]) -> None:
+    assert axes_agree(lf_of(name)) is True
 
 
 @pytest.mark.parametrize("name", [name for name, sample in SAMPLES.items() if sample.truth])
 def test_truth_comes_back_and_views_move_as_it_says(name: str, written: dict[str, Path], true: LightField) -> None:
     found = read(written[name])
     truth = found.reference_truth()
-    assert truth is not None
-    assert true.truth is not None
     np.testing.assert_allclose(truth.disparity, true.truth.disparity, atol=1e-5)
     assert runs_as_truth(found, 0) is True
     assert runs_as_truth(found, 1) is True
-    assert found.geometry is not None
     inside = found.geometry.depth(truth.disparity)
     np.testing.assert_allclose(found.geometry.disparity(inside), truth.disparity, atol=1e-4)
 
 
 @pytest.mark.parametrize("name", SAMPLES)
-def test_depth_and_info_of_each(name: str, written: dict[str, Path], tmp_path: Path) -> None:
+def test_depth_and_info_of_each_and_descriptions_that_read_back(
+    name: str, written: dict[str, Path], lf_of: Callable[[str], LightField], tmp_path: Path
+) -> None:
     told = [f"--{key}={'x'.join(map(str, value))}" for key, value in SAMPLES[name].options.items()]
-    shown = CliRunner().invoke(app, ["info", str(written[name]), *told])
+    file, out = tmp_path / "deep" / "array.toml", tmp_path / "out"
+    shown = CliRunner().invoke(app, ["info", str(written[name]), "--write", str(file), *told])
     assert shown.exit_code == 0, shown.stderr
     assert re.search(rf"format +{SAMPLES[name].format}, because", shown.stdout)
-    out = tmp_path / "out"
     arguments = ["depth", str(written[name]), "-o", str(out), "--preset=fast", "--disparity-range=-2,2", *told]
     done = CliRunner().invoke(app, arguments)
     assert done.exit_code == 0, done.stderr
     assert (out / "disparity.pfm").is_file()
-
-
-@pytest.mark.parametrize("name", SAMPLES)
-def test_written_descriptions_read_back(name: str, written: dict[str, Path], tmp_path: Path) -> None:
-    told = [f"--{key}={'x'.join(map(str, value))}" for key, value in SAMPLES[name].options.items()]
-    file = tmp_path / "deep" / "array.toml"
-    done = CliRunner().invoke(app, ["info", str(written[name]), "--write", str(file), *told])
-    assert done.exit_code == 0, done.stderr
-    first, again = read(written[name], **SAMPLES[name].options), read(file)
-    np.testing.assert_array_equal(again.views, first.views)
-    np.testing.assert_array_equal(again.positions, first.positions)
-    assert (again.reference, again.grid_shape, again.geometry, again.name) == (
-        first.reference,
-        first.grid_shape,
-        first.geometry,
-        first.name,
-    )
+    first, again = lf_of(name), read(file)
+    for field in ("views", "positions"):
+        np.testing.assert_array_equal(getattr(again, field), getattr(first, field))
+    for field in ("reference", "grid_shape", "geometry", "name"):
+        assert getattr(again, field) == getattr(first, field)
     if first.truth is not None:
-        assert again.truth is not None
         np.testing.assert_array_equal(again.truth.disparity, first.truth.disparity)
         assert again.truth.position == first.truth.position
     if first.valid is not None and not first.files:
         np.testing.assert_array_equal(again.valid, first.valid)
 
 
-EXTRAS = {
+LIBRARIES = {
     "blender": "OpenEXR",
     "hci-hdf5": "h5py",
     "lftoolbox-7.3": "h5py",
@@ -117,11 +182,11 @@ EXTRAS = {
 }
 
 
-@pytest.mark.parametrize("name", EXTRAS)
+@pytest.mark.parametrize("name", LIBRARIES)
 def test_a_missing_library_is_named_with_its_extra(
     name: str, written: dict[str, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(__import__("sys").modules, EXTRAS[name], None)
+    monkeypatch.setitem(__import__("sys").modules, LIBRARIES[name], None)
     extra = next(entry.extra for entry in FORMATS if entry.name == SAMPLES[name].format)
     text = refusal(lambda: read(written[name]))
     assert f"pip install -e '.[{extra}]'" in text

@@ -31,11 +31,9 @@ def test_hci_truth_and_mask_belong_to_the_centre_view(tmp_path: Path) -> None:
     save(tmp_path / "valid_mask.png", (disparity > 7)[..., None].astype(np.uint8))
     light_field = read(tmp_path)
     truth = light_field.reference_truth()
-    assert truth is not None
     assert truth.position == (2.0, 1.0)
     disparity[0, 1] = np.nan
     np.testing.assert_array_equal(truth.disparity, disparity)
-    assert truth.mask is not None
     np.testing.assert_array_equal(truth.mask[1:], disparity[1:] > 7)
 
 
@@ -160,11 +158,9 @@ def test_hci_round_trip(tmp_path: Path, dtype: Any, channels: int) -> None:
     assert found.views.dtype == dtype
     np.testing.assert_array_equal(found.views, light_field.views)
     assert (found.grid_shape, found.reference, found.notes) == ((2, 3), light_field.reference, ())
-    assert found.geometry is not None
     assert found.geometry.principal_point == (1.25, 2.0)
     lengths = found.geometry.focal_length_px, found.geometry.baseline_m, found.geometry.focus_distance_m
     assert lengths == pytest.approx((1234.5, 0.0173, 2.1), rel=1e-12)
-    assert found.truth is not None
     assert found.truth.mask is not None
     np.testing.assert_array_equal(found.truth.disparity, disparity)
     np.testing.assert_array_equal(found.truth.mask, disparity > 0)

@@ -73,9 +73,18 @@ def test_whole_numbers_of_hundreds_of_digits(tmp_path: Path, suffix: str) -> Non
     assert len(text) < 400
 
 
-def test_a_number_that_cannot_be_written_out(tmp_path: Path) -> None:
+def test_numbers_and_names_that_cannot_be_written_out(tmp_path: Path) -> None:
     text = refusal(lambda: read(described(tmp_path, f"reference = 0x{'f' * 9000}")))
     assert "not a number of thousands of digits" in text
+    file = described(tmp_path, f'name = "{"a.b" * 50}"')
+    assert read(file).name == "a.b" * 50
+    with (tmp_path / "array.toml").open("wb") as file:
+        file.truncate(1 << 33)
+    assert "has 8589934592 bytes" in refusal(lambda: read(tmp_path / "array.toml"))
+    folder = save_hci(tmp_path / "hci", range(9))
+    with (folder / "parameters.cfg").open("r+b") as file:
+        file.truncate(1 << 33)
+    assert "has 8589934592 bytes" in refusal(lambda: read(folder))
 
 
 @pytest.mark.parametrize(
@@ -87,21 +96,6 @@ def test_dotted_keys_of_many_parts_are_refused_before_they_are_parsed(
     file = described(tmp_path, key)
     monkeypatch.setattr(tomllib, "loads", pytest.fail)  # its time grows with the cube of the parts
     assert "a key of more parts" in refusal(lambda: read(file))
-
-
-def test_names_of_files_with_many_dots_are_no_keys(tmp_path: Path) -> None:
-    file = described(tmp_path, f'name = "{"a.b" * 50}"')
-    assert read(file).name == "a.b" * 50
-
-
-def test_descriptions_are_small(tmp_path: Path) -> None:
-    with (tmp_path / "array.toml").open("wb") as file:
-        file.truncate(1 << 33)
-    assert "has 8589934592 bytes" in refusal(lambda: read(tmp_path / "array.toml"))
-    folder = save_hci(tmp_path / "hci", range(9))
-    with (folder / "parameters.cfg").open("r+b") as file:
-        file.truncate(1 << 33)
-    assert "has 8589934592 bytes" in refusal(lambda: read(folder))
 
 
 # --- positions ---
@@ -144,12 +138,16 @@ def test_playlists_do_not_reach_other_videos(tmp_path: Path, rng: np.random.Gene
 # --- sizes ---
 
 
-def test_a_map_that_is_mostly_not_there_takes_no_memory(tmp_path: Path) -> None:
+def test_maps_that_are_not_there_take_no_memory(tmp_path: Path) -> None:
     file = tmp_path / "a.pfm"
     file.write_bytes(b"Pf\n10 10\n-1.0\n")
     with file.open("r+b") as opened:
         opened.truncate(8 << 30)  # a hole in the file: it is on no disk
     assert "refused" in in_little_memory("lfgpu.load(sys.argv[1])", file)
+    tifffile = pytest.importorskip("tifffile")
+    tifffile.imwrite(tmp_path / "a.tif", np.zeros((9, 16, 16), np.float32))
+    for function in (load, read_map):
+        assert "has several pages" in refusal(lambda function=function: function(tmp_path / "a.tif"))
 
 
 @pytest.mark.parametrize("suffix", [".exr", ".ply"])
@@ -179,7 +177,7 @@ def test_views_of_odd_shapes_are_read(tmp_path: Path, size: tuple[int, int]) -> 
 _ESCAPE = "a\x1b[2J\x1b]0;owned\x07\u202egnp\udcff\ud800\nb"
 
 
-def test_what_is_printable_stays_and_nothing_else() -> None:
+def test_what_is_said_is_one_line_that_can_be_shown(tmp_path: Path) -> None:
     for text in ("Küche – 7", "台所", "кухня", "🍳", "می\u200cخواهم", "a\u3000b\xa0c"):
         assert printable(text) == text
     shown = printable(_ESCAPE)
@@ -187,26 +185,17 @@ def test_what_is_printable_stays_and_nothing_else() -> None:
     assert printable(shown) == shown
     assert printable(_ESCAPE, keep="\n").endswith("\nb")
     assert len(printable("x" * 10_000, longest=100)) <= 100
-
-
-def test_what_is_written_out_counts_for_the_length_of_a_sentence() -> None:
-    """A name with a thousand zero bytes, each of which is four characters on the screen."""
+    # A name with a thousand zero bytes, each of which is four characters on the screen.
     text = str(LightFieldError("the camera " + "\x00" * 900 + " is not there."))
     assert 900 < len(text) <= 1000
     assert text.startswith("the camera \\x00\\x00")
     assert text.endswith("\\x00\\x00 is not there.")
     assert printable("a\x1bb", longest=6) == "a\\x1bb"
-
-
-def test_messages_are_one_line_of_bounded_length_that_can_be_shown() -> None:
     text = str(LightFieldError(f"{_ESCAPE * 1000}."))
     assert text.isprintable()
     assert text.endswith("b.")
     assert len(text) < 10_000
     text.encode()
-
-
-def test_names_of_light_fields_can_be_shown(tmp_path: Path) -> None:
     described(tmp_path, f'"name": {json.dumps(_ESCAPE)},', suffix="json")
     found = read(tmp_path / "array.json")
     assert found.name == printable(_ESCAPE)
@@ -236,13 +225,6 @@ def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str
         np.lib.format.write_array(file, np.zeros(3))
     for function in (read_result, read_map):
         assert "claim 53687" in refusal(lambda function=function: function(tmp_path / "result.npz"))
-
-
-def test_a_tiff_of_several_pages_is_no_map(tmp_path: Path) -> None:
-    tifffile = pytest.importorskip("tifffile")
-    tifffile.imwrite(tmp_path / "a.tif", np.zeros((9, 16, 16), np.float32))
-    for function in (load, read_map):
-        assert "has several pages" in refusal(lambda function=function: function(tmp_path / "a.tif"))
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".ply", ".exr"])

@@ -197,7 +197,6 @@ def test_alpha_says_which_pixels_are_valid(tmp_path: Path) -> None:
     save(tmp_path / "0_1.png", picture(1, 3))
     light_field = read(tmp_path)
     np.testing.assert_array_equal(light_field.views[0], picture(0, 4)[..., :3])
-    assert light_field.valid is not None
     np.testing.assert_array_equal(light_field.valid[0], picture(0, 4)[..., 3] >= 128)
     assert light_field.valid[1].all()
     assert light_field.notes[-1].startswith("Transparent pixels are not valid")

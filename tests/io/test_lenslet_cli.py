@@ -1,16 +1,33 @@
-"""`lfgpu decode`, and `depth` and `info` straight from a raw capture."""
+"""Raw captures and containers on the command line, in the cache of the user, and two of a first-generation Lytro."""
 
 import re
+import zipfile
 from pathlib import Path
 
+import lytro_samples
 import numpy as np
 import pytest
+from fields import SAMPLES, scene
 from lenslet_samples import Camera, capture, eight_bit
 from PIL import Image
+from samples import box, refusal, save_named, star
+from scipy import ndimage
+from scipy.io import loadmat
 from typer.testing import CliRunner, Result
 
+from lfgpu.batch.items import find_items
 from lfgpu.cli import app
-from lfgpu.io import read, read_map
+from lfgpu.data.geometry import Geometry
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
+from lfgpu.io import load, read, read_map, recognise, save
+from lfgpu.io.images import read_image
+from lfgpu.io.lenslet import entry as module
+from lfgpu.io.lenslet.capture import read_capture
+from lfgpu.io.lenslet.decode import decode
+from lfgpu.io.lenslet.entry import folder, kept
+from lfgpu.io.lenslet.microlenses import find_microlenses
+from lfgpu.io.ply import read_ply
 from lfgpu.scenes import make
 
 
@@ -67,3 +84,261 @@ def test_what_is_no_file_is_said(tmp_path: Path) -> None:
         outcome = lfgpu("decode", path, "-o", tmp_path / "views")
         assert outcome.exit_code == 1
         assert words in outcome.stderr
+
+
+made: list[str] = []
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.setattr(module, "folder", folder)  # as it is for users
+    made.clear()
+    return tmp_path / "cache"
+
+
+def make_views() -> LightField:
+    made.append("")
+    views = np.random.default_rng(1).integers(0, 65535, (4, 6, 7, 3), dtype=np.uint16)
+    valid = np.random.default_rng(2).random((4, 6, 7)) > 0.2
+    places = [[0, 0], [1, 0], [0, 1], [1, 1]]
+    return LightField(views, places, reference=3, grid_shape=(2, 2), valid=valid, name="raw", notes=("Green is at 0.",))
+
+
+def test_it_is_made_once_and_the_same_when_it_is_read(tmp_path: Path) -> None:
+    (tmp_path / "raw.lfr").write_bytes(b"one")
+    first, second = (kept(tmp_path / "raw.lfr", make_views) for _ in range(2))
+    assert len(made) == 1
+    for name in ("views", "positions", "valid"):
+        np.testing.assert_array_equal(getattr(second, name), getattr(first, name))
+    assert (second.reference_index, second.grid_shape, second.name, second.notes) == (3, (2, 2), "raw", first.notes)
+    (tmp_path / "raw.lfr").write_bytes(b"two")
+    kept(tmp_path / "raw.lfr", make_views)
+    assert len(made) == 2
+
+
+def test_what_cannot_be_kept_or_read_is_made(tmp_path: Path, cache: Path) -> None:
+    (tmp_path / "raw.lfr").write_bytes(b"one")
+    kept(tmp_path / "raw.lfr", make_views)
+    (file,) = folder().glob("*.npz")
+    file.write_bytes(file.read_bytes()[:100])
+    kept(tmp_path / "raw.lfr", make_views)
+    kept(tmp_path / "raw.lfr", make_views)
+    assert len(made) == 2
+    cache.rename(tmp_path / "gone")
+    cache.write_text("no folder")
+    assert kept(tmp_path / "raw.lfr", make_views).name == "raw"
+
+
+def test_there_is_an_end_of_what_is_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "_ROOM", 3000)
+    for number in range(4):
+        (tmp_path / "raw.lfr").write_bytes(bytes([number]))
+        kept(tmp_path / "raw.lfr", make_views)
+    assert 1 <= len(list(folder().glob("*.npz"))) < 4
+
+
+CAPTURES = [pytest.param(name, marks=pytest.mark.data(name)) for name in ("tao2013_IMG_1", "tao2013_IMG_4")]
+CORDS = "tao2013_image_cords.mat"
+
+
+def real_raw(real_folder: Path) -> Path:
+    return real_folder / f"{real_folder.name.removeprefix('tao2013_')}.jpg"
+
+
+def their_centres(real_folder: Path) -> np.ndarray:
+    """(x, y) of lenses [362, 311, 2], in our counting: theirs is (y, x), whole numbers, the first pixel being 1."""
+    cords = real_folder.parent / CORDS
+    if not cords.is_file():
+        pytest.skip(f"{cords} is not there")
+    return loadmat(cords)["image_cords"].astype(np.float64)[..., ::-1] - 1
+
+
+@pytest.fixture(params=CAPTURES)
+def real_folder(data_folder: Path) -> Path:
+    return data_folder
+
+
+def test_the_raw_file_is_recognised(real_folder: Path) -> None:
+    entry, reason = recognise(real_raw(real_folder))
+    assert entry.name == "lenslet"
+    assert "microlenses" in reason
+
+
+def test_the_grid_is_theirs(real_folder: Path) -> None:
+    grid = find_microlenses(read_capture(real_raw(real_folder)).mosaic, name="it")
+    steps = np.stack([grid.along, grid.down], axis=1)
+    from_origin = their_centres(real_folder) - grid.origin
+    number = np.rint(from_origin @ np.linalg.inv(steps).T)
+    off = from_origin - number @ steps.T
+    assert np.sqrt((off**2).sum(-1).mean()) < 0.55  # 0.41 of it comes from their whole numbers
+    assert np.abs(off.mean((0, 1))).max() < 0.2
+
+
+@pytest.mark.data("tao2013_IMG_1")
+def test_the_views_are_theirs(data_folder: Path) -> None:
+    """The same view at the same place, in linear values up to a factor; the views beside it are less alike."""
+    real_folder, decoded = data_folder, decode(real_raw(data_folder))
+    views, about = decoded.light_field, decoded.about
+    assert views.grid_shape == (7, 7)
+    along = np.array(about["microlenses"]["along_xy"])
+    along /= np.hypot(*along)
+    axes = np.array([along, [-along[1], along[0]]])
+    pixel = about["view_pixel"]
+    x, y = np.moveaxis((their_centres(real_folder) - pixel["first_xy"]) @ axes.T / pixel["side_px"], -1, 0)
+    height, width = views.size
+    inside = (x > 1) & (x < width - 2) & (y > 1) & (y < height - 2)
+    assert inside.mean() > 0.95
+
+    def green(row: int, column: int) -> np.ndarray:
+        linear = about["values"]["white_level"] * (views.view(row, column)[..., 1] / 65535) ** 2
+        return ndimage.map_coordinates(linear, [y, x], order=1)[inside]
+
+    def difference(ours: np.ndarray, theirs: np.ndarray) -> float:
+        used = (theirs < 0.97) & (ours < 0.97)  # not cut off
+        ours, theirs = ours[used], theirs[used]
+        return float(np.abs(ours * (ours @ theirs) / (ours @ ours) - theirs).mean())
+
+    for row, column in ((3, 3), (3, 1), (1, 3), (5, 5)):
+        image, _ = read_image(real_folder / f"view_{row:02d}_{column:02d}.png")
+        theirs = image[..., 1][inside] / 255
+        at_place = difference(green(row, column), theirs)
+        assert at_place < 0.02
+        for other in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
+            assert difference(green(*other), theirs) > 1.1 * at_place
+
+
+@pytest.mark.data("real/synth_spots")
+@pytest.mark.parametrize(
+    ("name", "square", "limit"),
+    [
+        # The first picture is not drawn where its list says. A Gaussian fitted to each spot lies 0.2 to 0.5 px beside
+        # the list in x and y, and 1.4 px in the first row and column; in the second picture it lies on the list
+        # (0.00 px on average). So it is not where pixels have their centres, which would move all four pictures.
+        ("a", True, 0.55),
+        ("b", False, 0.03),
+        ("c", False, 0.02),
+        ("d", True, 0.01),
+    ],
+)
+def test_the_centres_of_synthetic_spots(data_folder: Path, name: str, square: bool, limit: float) -> None:
+    with zipfile.ZipFile(data_folder / "synth_spots.zip") as archive:
+        with archive.open(f"{name}.png") as file, Image.open(file) as image:
+            picture = np.asarray(image).astype(np.float32)
+        with archive.open(f"{name}.txt") as file:
+            true = np.loadtxt(file)[:, ::-1]
+    true = true[((true > 0) & (true < 719)).all(axis=1)]
+    found = find_microlenses(picture, name=name)
+    assert found.square == square
+    off = np.array([found.near(centre).origin - centre for centre in true])
+    assert np.sqrt((off**2).sum(axis=1).mean()) < limit
+    assert np.sqrt(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean()) < 0.1
+
+
+def told(*arguments: object, code: int = 0) -> str:
+    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
+    assert done.exit_code == code, done.stderr
+    return " ".join((done.stdout if code == 0 else done.stderr).split())
+
+
+@pytest.fixture
+def stack(tmp_path: Path) -> Path:
+    content, data = lytro_samples.focal_stack(scene((1, 3), (36, 34)).views)
+    path = tmp_path / "IMG_0007-stk.lfp"
+    path.write_bytes(lytro_samples.processed([("refocusStack", content)], data, camera=lytro_samples.CAMERA))
+    return path
+
+
+def test_info_says_what_a_focal_stack_is(stack: Path) -> None:
+    said = told("info", stack)
+    assert "IMG_0007-stk format lytro, because it is a container of Lytro's program" in said
+    assert "focal stack 3 pictures focused at λ -1 to 1" in said
+    assert "camera Lytro, Inc. F01" in said
+    assert "no depth it holds a focal stack" in said
+    assert "all show the scene from one place" in told("depth", stack, "-o", stack.parent / "out", code=1)
+
+
+def test_decode_writes_what_a_container_holds(stack: Path, tmp_path: Path) -> None:
+    said = told("decode", stack, "-o", tmp_path / "out")
+    assert "focus_00.jpg ... 3 pictures" in said
+    assert sorted(file.name for file in (tmp_path / "out").iterdir()) == [
+        *(f"focus_0{i}.jpg" for i in range(3)),
+        "lambda.pfm",
+        "lytro.json",
+    ]
+    assert "leave --white, --bayer and --views out" in told("decode", stack, "-o", tmp_path / "x", "--views", 3, code=1)
+
+
+def test_views_of_a_container_are_decoded_and_read_again(tmp_path: Path) -> None:
+    lf = scene((3, 3), (36, 34))
+    file = SAMPLES["lytro-pictures"].write(lf, tmp_path)
+    said = told("info", file)
+    assert "contents 9 views of 34 x 36 px, a focal stack of 2 pictures" in said
+    told("decode", file, "-o", tmp_path / "out")
+    np.testing.assert_array_equal(read(tmp_path / "out").views, read(file).views)
+
+
+def test_batches_take_each_container_that_has_views(stack: Path, tmp_path: Path) -> None:
+    SAMPLES["lytro-pictures"].write(scene((3, 3), (36, 34)), tmp_path)
+    (tmp_path / "damaged.lfp").write_bytes(stack.read_bytes()[:3000])
+    items, barren = find_items([str(tmp_path)], sequence=False)
+    assert [item.name for item in items] == ["IMG_0002-stk.lfp", "damaged.lfp"]
+    assert barren == []
+
+
+def test_patterns_that_are_meant_are_not_missing(tmp_path: Path) -> None:
+    said = told("info", save_named(tmp_path / "star", star(5)))
+    assert "17 of 25 in a 5 x 5 grid (rows x columns), a star" in said
+    assert "missing" not in said
+    corners = told("info", save_named(tmp_path / "corners", [(0, 0), (0, 8), (8, 0), (8, 8)]))
+    assert "missing 77" not in corners
+    assert "4 of 81 views of the 9 x 9 grid are there" in corners
+    assert "missing 1: row 2, column 2" in told("info", save_named(tmp_path / "lost", box(3, 3)[:-1]))
+
+
+def test_maps_of_one_view_are_refused_for_new_views_by_the_name_of_the_option(tmp_path: Path) -> None:
+    folder = save_named(tmp_path / "lf", box(3, 3))
+    (tmp_path / "maps").mkdir()
+    said = told("render", folder, "--view=0,1", "--maps", tmp_path / "maps", "-o", tmp_path / "a.png", code=1)
+    assert "run lfgpu depth --all-views, or leave --maps out" in said
+
+
+def test_depth_of_cameras_of_which_no_two_are_in_line(tmp_path: Path) -> None:
+    lf = scene((3, 3), (36, 34))
+    places = np.array([[0, 0], [0.5, 1], [1, 0.5]])
+    np.savez(tmp_path / "a.npz", views=lf.views[:3], positions=places)
+    told("depth", tmp_path / "a.npz", "-o", tmp_path / "out", "--preset=fast")
+    assert (tmp_path / "out" / "disparity.pfm").is_file()
+
+
+GEOMETRY = Geometry(focal_length_px=100.0, baseline_m=0.1)
+SLOPE = np.linspace(-1, 1, 40 * 60, dtype=np.float32).reshape(40, 60)
+
+
+@pytest.mark.parametrize("geometry", [None, GEOMETRY])
+def test_exr_names_only_channels_that_it_has(geometry: Geometry | None, tmp_path: Path) -> None:
+    exr = pytest.importorskip("OpenEXR")
+    save(DisparityMap(SLOPE + 2, geometry=geometry), tmp_path / "a.exr")
+    with exr.File(str(tmp_path / "a.exr")) as file:
+        assert ("Z" in file.channels()) == (geometry is not None)
+        assert ('"Z"' in str(file.header()["lfgpu"])) == (geometry is not None)
+
+
+def test_a_cloud_without_geometry_is_no_flat_sheet(tmp_path: Path) -> None:
+    save(DisparityMap(SLOPE), tmp_path / "a.ply")
+    points, comments = read_ply(tmp_path / "a.ply")
+    z = points["z"]
+    assert 0.2 * 60 < np.ptp(z) < 0.6 * 60
+    np.testing.assert_allclose(z, -8 * points["disparity"])
+    assert "z is -8 times the disparity" in comments[0]
+
+
+def test_a_map_whose_pixels_are_damaged_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("OpenEXR")
+    file = tmp_path / "a.exr"
+    save(DisparityMap(SLOPE), file)
+    data = bytearray(file.read_bytes())
+    data[-200:] = bytes(200)
+    file.write_bytes(data)
+    assert "its pixels are damaged" in refusal(lambda: load(file))
+    assert capfd.readouterr() == ("", "")

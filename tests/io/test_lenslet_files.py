@@ -52,11 +52,21 @@ def test_packed_values_come_back(bits: int, endianness: str) -> None:
     assert np.array_equal(unpack(packed(values(bits), bits), SHAPE, bits, endianness), values(bits))
 
 
-def test_known_bytes() -> None:
+def test_values_are_packed_and_bare(tmp_path: Path) -> None:
     assert unpack(bytes([0xAB, 0xCD, 0xEF]), (1, 2), 12, "big").tolist() == [[0xABC, 0xDEF]]
     assert unpack(bytes([0xFF, 0, 0x80, 1, 0b11_10_01_00]), (1, 4), 10, "little").tolist() == [[1020, 1, 514, 7]]
     assert unpack(bytes([1, 2, 3, 4]), (1, 2), 16, "big").tolist() == [[258, 772]]
     assert unpack(bytes([1, 2]), (1, 2), 8, "big").tolist() == [[1, 2]]
+    stored = np.zeros((3280, 3280), np.uint16)
+    stored[:8, :20] = values(12)
+    path = write(tmp_path / "IMG.RAW", packed(stored, 12))
+    assert recognise(path)[1] == "it has the name and the length of a raw file of the first Lytro"
+    found = read_capture(path)
+    assert np.abs(found.mosaic[:8, :20] - np.clip((values(12) - 168.0) / 3927, 0, 1)).max() < 1e-6
+    assert "assumed" in found.notes[0]
+    short = write(tmp_path / "short.raw", bytes(1000))
+    assert "it has 1000 bytes, not 16137600 (the first Lytro)" in refusal(lambda: read(short, format="lenslet"))
+    assert "is not a light field of a known format" in refusal(lambda: read(short))
 
 
 @pytest.mark.parametrize("bits", [12, 10])
@@ -116,19 +126,6 @@ def test_imageio_reads_the_same_pixels_from_a_whole_picture(tmp_path: Path) -> N
     assert np.array_equal(np.rint(theirs), stored)
     ours = read_capture(path).mosaic
     assert np.abs(ours - np.clip((theirs - 168) / (4095 - 168), 0, 1)).max() < 1e-5
-
-
-def test_bare_raw_files(tmp_path: Path) -> None:
-    stored = np.zeros((3280, 3280), np.uint16)
-    stored[:8, :20] = values(12)
-    path = write(tmp_path / "IMG.RAW", packed(stored, 12))
-    assert recognise(path)[1] == "it has the name and the length of a raw file of the first Lytro"
-    found = read_capture(path)
-    assert np.abs(found.mosaic[:8, :20] - np.clip((values(12) - 168.0) / 3927, 0, 1)).max() < 1e-6
-    assert "assumed" in found.notes[0]
-    short = write(tmp_path / "short.raw", bytes(1000))
-    assert "it has 1000 bytes, not 16137600 (the first Lytro)" in refusal(lambda: read(short, format="lenslet"))
-    assert "is not a light field of a known format" in refusal(lambda: read(short))
 
 
 # --- what is refused ---

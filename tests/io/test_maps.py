@@ -1,6 +1,8 @@
-"""Maps and masks from and to files."""
+"""Maps, masks and clouds from and to files; views that are mapped from a file, and views of few bits."""
 
+import os
 import struct
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,18 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 from samples import refusal, save
+from typer.testing import CliRunner
 
-from lfgpu.io import read_map, read_mask, write_pfm
+import lfgpu
+from lfgpu import scenes
+from lfgpu.cli import app
+from lfgpu.data.lightfield import LightField
+from lfgpu.data.result import DisparityMap
+from lfgpu.io import read, read_map, read_mask, write_hci, write_pfm
+from lfgpu.io.contradictions import contradictions
+from lfgpu.io.ply import read_ply, write_ply
+from lfgpu.methods.measured import exposure_of
+from lfgpu.metrics import evaluate
 
 MAP = np.random.default_rng(5).normal(size=(3, 7)).astype(np.float32)
 
@@ -117,3 +129,152 @@ def test_only_maps_become_pfm(tmp_path: Path, values: NDArray[Any]) -> None:
 def test_a_scale_of_0_does_not_tell_the_order_of_bytes(scale: str, tmp_path: Path) -> None:
     (tmp_path / "a.pfm").write_bytes(f"Pf\n2 1\n{scale}\n".encode() + bytes(8))
     assert "has the scale 0, whose sign cannot tell" in refusal(lambda: read_map(tmp_path / "a.pfm"))
+
+
+POINTS = np.zeros(5, [("x", "f4"), ("y", "f8"), ("z", ">f4"), ("red", "u1"), ("row", "i4"), ("kind", "u2")])
+for _number, _name in enumerate(POINTS.dtype.names or ()):
+    POINTS[_name] = np.arange(5) + 10 * _number
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    write_ply(tmp_path / "a.ply", POINTS, ["first", "second: 1 2 3"])
+    return tmp_path / "a.ply"
+
+
+def test_points_and_comments_come_back(file: Path) -> None:
+    points, comments = read_ply(file)
+    assert comments == ["first", "second: 1 2 3"]
+    assert points.dtype.names == POINTS.dtype.names
+    for name in POINTS.dtype.names or ():
+        np.testing.assert_array_equal(points[name], POINTS[name])
+
+
+def test_other_programs_read_them(file: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    np.testing.assert_array_equal(trimesh.load(file, process=False).vertices[:, 1], POINTS["y"])
+
+
+def test_what_other_programs_write_is_read(file: Path, tmp_path: Path) -> None:
+    """Lines that end as on Windows, sized names of types, remarks, and faces after the points."""
+    head, _, data = file.read_bytes().partition(b"end_header\n")
+    head = head.replace(b"property float", b"property float32").replace(b"\n", b"\r\n")
+    faces = b"element face 1\r\nproperty list uchar int vertex_indices\r\n"
+    (tmp_path / "b.ply").write_bytes(head + b"obj_info here\r\n" + faces + b"end_header\r\n" + data + bytes(13))
+    np.testing.assert_array_equal(read_ply(tmp_path / "b.ply")[0]["z"], POINTS["z"])
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "words"),
+    [
+        (b"ply\n", b"plx\n", "its header is missing or damaged"),
+        (b"end_header", b"end_of_it", "its header is missing or damaged"),
+        (b"binary_little_endian", b"ascii", "must be binary and little endian"),
+        (b"binary_little_endian", b"binary_big_endian", "must be binary and little endian"),
+        (b"element vertex 5", b"element vertex 6", "claims 6 points and ends before them"),
+        (b"element vertex 5", b"element vertex 99999999999999999999", "ends before them"),
+        (b"element vertex 5", b"element vertex -5", "must come first"),
+        (b"element vertex", b"element face", "must come first"),
+        (b"property float x", b"property list uchar float x", "be numbers"),
+        (b"property float x", b"property text x", "be numbers"),
+        (b"property float x", b"property float y", "be numbers"),
+    ],
+)
+def test_what_is_no_file_of_points_is_refused(file: Path, before: bytes, after: bytes, words: str) -> None:
+    file.write_bytes(file.read_bytes().replace(before, after, 1))
+    assert words in refusal(lambda: read_ply(file))
+
+
+@pytest.mark.parametrize("name", ["row", "column"])
+def test_points_beside_the_map_are_refused(tmp_path: Path, name: str) -> None:
+    lfgpu.save(DisparityMap(np.ones((8, 9), np.float32)), tmp_path / "a.ply")
+    points, comments = read_ply(tmp_path / "a.ply")
+    for wrong in (-1, 9):
+        points[name][3] = wrong
+        write_ply(tmp_path / "b.ply", points, comments)
+        assert "are not those of a map" in refusal(lambda: lfgpu.load(tmp_path / "b.ply"))
+
+
+@pytest.fixture
+def mapped(tmp_path: Path) -> tuple[Path, LightField]:
+    path = tmp_path / "a.npy"
+    np.save(path, np.random.default_rng(0).integers(0, 255, (3, 3, 64, 64, 3), np.uint8))
+    return path, read(path, lazy=True)
+
+
+def _uses(lf: LightField) -> None:
+    lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu", max_memory="1GiB")
+
+
+def test_a_file_that_was_cut_short(mapped: tuple[Path, LightField]) -> None:
+    """Reading beyond its end would end the process (SIGBUS)."""
+    path, lf = mapped
+    os.truncate(path, 4096)
+    uses = (lambda lf: lf.image(8), lambda lf: lf.subset([1, 2]), lambda lf: lf.downsampled(2), contradictions)
+    for use in (_uses, exposure_of, *uses):
+        text = refusal(lambda use=use: use(lf))  # type: ignore[misc]
+        assert text == f"{path} was written anew while it was in use; read it again."
+
+
+def test_a_file_that_was_written_anew(mapped: tuple[Path, LightField]) -> None:
+    path, lf = mapped
+    content = path.read_bytes()
+    path.write_bytes(content[:128] + bytes(len(content) - 128))
+    os.utime(path, ns=(1, 1))
+    assert "was written anew" in refusal(lambda: lf.image(0))
+
+
+def test_a_file_that_was_replaced_or_removed_is_still_there(mapped: tuple[Path, LightField]) -> None:
+    path, lf = mapped
+    before = lf.image(0)
+    np.save(path.with_name("b.npy"), np.zeros((2, 2, 8, 8, 3), np.uint8))
+    path.with_name("b.npy").replace(path)
+    np.testing.assert_array_equal(lf.image(0), before)
+    path.unlink()
+    np.testing.assert_array_equal(lf.image(0), before)
+
+
+@pytest.mark.parametrize("bits", [8, 10, 12, 14])
+def test_views_of_few_bits_are_as_bright_as_they_are(tmp_path: Path, bits: int) -> None:
+    true = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    dark = np.rint(true.views / 255 * ((1 << bits) - 1)).astype(np.uint16)
+    write_hci(replace(true, views=dark), tmp_path / "dark")
+    found = read(tmp_path / "dark")
+    np.testing.assert_array_equal(found.views, dark)
+    assert found.white == (1 << bits) - 1
+    assert any(f"taken for {bits} bits" in note for note in found.notes)
+    np.testing.assert_allclose(found.image(0), true.image(0), atol=0.003)
+    np.testing.assert_allclose(found.downsampled(2).image(0), true.downsampled(2).image(0), atol=0.003)
+    maps = [
+        lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), backend="reference").disparity
+        for lf in (true, found)
+    ] if bits == 10 else []  # fmt: skip
+    if maps:
+        first, second = (evaluate(values, true.truth.disparity, border=2) for values in maps)
+        assert second.badpix_07 <= first.badpix_07 + 1
+
+
+def test_views_of_sixteen_bits_stay(tmp_path: Path) -> None:
+    true = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    write_hci(replace(true, views=true.views.astype(np.uint16) * 257), tmp_path / "a")
+    found = read(tmp_path / "a")
+    assert (found.white, found.notes) == (None, ())
+    write_hci(replace(true, views=np.zeros_like(found.views)), tmp_path / "b")
+    assert read(tmp_path / "b").white is None
+
+
+def test_white_is_a_number() -> None:
+    true = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    with pytest.raises(lfgpu.LightFieldError, match="white must be"):
+        replace(true, white=0)
+
+
+def test_escape_sequences_in_names_do_not_reach_the_terminal(tmp_path: Path) -> None:
+    folder = tmp_path / "a\x1b]0;owned\x07\x1b[2J"
+    write_hci(scenes.make("boxes", grid=(3, 3), size=(40, 48)), folder)
+    (folder / "b\x1b[2J.png").write_bytes(b"none")
+    for command in (["info", str(folder)], ["info", str(folder / "nothing")], ["info", str(folder / "b\x1b[2J.png")]):
+        done = CliRunner().invoke(app, command)
+        assert "\x1b" not in done.output
+        assert "\x07" not in done.output
+        assert r"\x1b[2J" in done.output

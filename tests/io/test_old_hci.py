@@ -1,16 +1,19 @@
-"""The old HCI formats: HDF5 and exports; how columns are counted, depth, and what is refused."""
+"""The old HCI formats, folders of Stanford and plenopticam, rows, videos, descriptions, and what a user tries next."""
 
 import os
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from fields import SAMPLES, scene
-from samples import box, refusal, save_named
+from PIL import Image
+from samples import box, picture, refusal, save, save_named
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read, recognise
+from lfgpu.io.parallax import axes_agree
 
 
 @pytest.mark.parametrize("grid", [(3, 3), (2, 4), (4, 2)])
@@ -126,3 +129,266 @@ def test_pipes_among_the_files_of_a_format_are_not_waited_for(tmp_path: Path, tr
         (folder / name).unlink()
         os.mkfifo(folder / name)
     assert read(folder).geometry is None
+
+
+def test_plenopticam_that_lost_a_row(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["plenopticam"].write(true, tmp_path)
+    assert read(path / "viewpoints_5px").grid_shape == (5, 5)
+    for file in path.glob("*/4_*.png"):
+        file.unlink()
+    assert "should have 5 x 5 views, found a grid of 4 x 5" in refusal(lambda: read(path))
+    (path / "viewpoints_3px").mkdir()
+    assert "several exports (viewpoints_3px, viewpoints_5px)" in refusal(lambda: read(path))
+
+
+def save_row(folder: Path, numbers: Any, pattern: str = "mansion_image_{0:04d}.png") -> Path:
+    for number in numbers:
+        save(folder / pattern.format(number), picture(number))
+    return folder
+
+
+def test_numbered_images_are_a_row(tmp_path: Path) -> None:
+    found = read(save_row(tmp_path / "a", range(25, 60, 5)))
+    assert (found.grid_shape, found.reference) == ((1, 7), 3)
+    np.testing.assert_array_equal(found.view(0, 2), picture(35))
+    found = read(tmp_path / "a", every=3)
+    np.testing.assert_array_equal(found.views[1], picture(40))
+    assert found.grid_shape == (1, 3)
+    assert read(tmp_path / "a", grid=(7, 1)).grid_shape == (7, 1)
+    save(tmp_path / "a" / "cover.png")
+    assert "not named as the others: cover.png" in read(tmp_path / "a").notes[0]
+
+
+def test_numbered_images_that_leave_it_open(tmp_path: Path) -> None:
+    save_row(tmp_path / "square", range(9))
+    text = refusal(lambda: read(tmp_path / "square"))
+    assert "--grid 1x9, --grid 3x3" in text
+    np.testing.assert_array_equal(read(tmp_path / "square", grid=(3, 3)).view(2, 1), picture(7))
+    save_row(tmp_path / "gaps", [1, 2, 3, 5])
+    assert "lacks 1 of the 5 views" in refusal(lambda: read(tmp_path / "gaps"))
+    assert len(read(tmp_path / "gaps", allow_missing=True).views) == 4
+    save_row(tmp_path / "dates", [20250101, 20261231])
+    assert '--pattern "mansion_image_{date}.png"' in refusal(lambda: read(tmp_path / "dates"))
+    assert read(tmp_path / "dates", pattern="mansion_image_{date}.png").grid_shape == (1, 2)
+    save_row(tmp_path / "far", [1, 2, 20261231])
+    assert "that is no row of cameras" in refusal(lambda: read(tmp_path / "far"))
+    assert "several folders with numbered images" in refusal(lambda: read(tmp_path))
+
+
+def test_videos(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["video"].write(true, tmp_path)
+    row = true.views[true.row()]
+    found = read(path, every=2)
+    np.testing.assert_array_equal(found.views, row[::2])
+    assert read(path, grid=(5, 1)).grid_shape == (5, 1)
+    assert "5 views, which is not a grid of 2 x 2" in refusal(lambda: read(path, grid=(2, 2)))
+    assert "has 1 frames to take" in refusal(lambda: read(path, every=9))
+    path.write_bytes(path.read_bytes()[:200])
+    assert f"{path} cannot be read as a video" in refusal(lambda: read(path))
+
+
+def save_stanford(folder: Path, places: Any, pattern: str = "out_{0:02d}_{1:02d}_{2:.6f}_{3:.6f}_.png") -> Path:
+    for index, (row, column, y, x) in enumerate(places):
+        save(folder / pattern.format(row, column, y, x), picture(index))
+    return folder
+
+
+def test_stanford_positions_are_irregular_view_steps(tmp_path: Path) -> None:
+    places = [(0, 0, -20.0, 100.0), (0, 1, -20.5, 110.0), (0, 2, -19.5, 121.0), (1, 0, -8.0, 101.0)]
+    found = read(save_stanford(tmp_path, places))
+    # The distances of neighbours in a row are 10 and 11: the step is their median.
+    np.testing.assert_allclose(found.positions[:, 0] * 10.5, [0, 10, 21, 1], atol=1e-9)
+    np.testing.assert_allclose(found.positions[:, 1] * 10.5, [0.5, 0, 1, 12.5], atol=1e-9)
+    assert found.grid_shape is None
+    assert "One view step is 10.5 in the unit" in found.notes[0]
+
+
+def test_stanford_y_counts_downwards_whether_names_end_in_an_underscore_or_not(tmp_path: Path) -> None:
+    places = [(0, 0, -3.0, 1.0), (1, 0, -5.0, 1.0)]
+    for name, end in (("with", "_"), ("without", "")):
+        pattern = "out_{0:02d}_{1:02d}_{2}_{3}" + end + ".png"
+        found = read(save_stanford(tmp_path / name, places, pattern))
+        np.testing.assert_allclose(found.positions, [[0, 1], [0, 0]])
+
+
+def test_stanford_a_row_with_gaps(tmp_path: Path) -> None:
+    columns = [0, 1, 2, 5, 6, 9]
+    places = [(8, column, -451.0 + 0.3 * (column % 3), 1103.0 - 8.7 * column) for column in columns]
+    found = read(save_stanford(tmp_path, places))
+    np.testing.assert_allclose(found.positions[:, 0], 9 - np.array(columns), atol=1e-9)
+    np.testing.assert_allclose(found.positions[:, 1] * 8.7, 0.3 * (np.array(columns) % 3), atol=1e-9)
+    assert "One view step is 8.7 in the unit" in found.notes[0]
+
+
+def test_stanford_pictures_are_believed_against_names(tmp_path: Path, true: LightField) -> None:
+    for index, (u, v) in enumerate(true.positions):
+        name = f"out_{round(v):02d}_{round(u):02d}_{-v:.3f}_{u:.3f}_.png"
+        Image.fromarray(true.views[index]).save(tmp_path / name)
+    found = read(tmp_path)
+    assert any("rows were turned round" in note for note in found.notes)
+    np.testing.assert_allclose(found.positions[found.index_of(0, 0)], [0, 0])
+    np.testing.assert_array_equal(found.view(0, 0), true.view(0, 0))
+
+
+def test_stanford_that_is_refused(tmp_path: Path) -> None:
+    places = [(0, 0, 5.0, 1.0), (0, 1, 5.0, 1.0)]
+    assert "stand in one place" in refusal(lambda: read(save_stanford(tmp_path / "a", places)))
+    places = [(0, 0, 5.0, 1.0), (0, 1, 5.0, 2.0), (0, 2, 5.0, 2.0)]
+    assert "two views have the position" in refusal(lambda: read(save_stanford(tmp_path / "b", places)))
+    assert "one view only" in refusal(lambda: read(save_stanford(tmp_path / "c", places[:1])))
+
+
+def describe(folder: Path, text: str) -> Path:
+    save(folder / "a.png", picture(1))
+    save(folder / "b.png", picture(2))
+    save(folder / "mask.png", np.array(picture(3, 1) > 100, np.uint8) * np.uint8(255))
+    (folder / "lightfield.toml").write_text(text, encoding="utf-8")
+    return folder
+
+
+TWO = '[[views]]\nfile = "a.png"\nposition = [0, 0]\n[[views]]\nfile = "b.png"\nposition = [1.5, -0.25]\n'
+
+
+def test_a_description_by_hand(tmp_path: Path) -> None:
+    text = (
+        'name = "Bänke"\nreference = 0\n[geometry]\nfocal_length_px = 1200\nbaseline_m = 0.02\n'
+        "principal_point = [1.0, 2.0]\n" + TWO + 'valid = "mask.png"\n'
+    )
+    found = read(describe(tmp_path, text))
+    assert (found.name, found.reference, found.grid_shape) == ("Bänke", 0, None)
+    np.testing.assert_array_equal(found.positions, [[0, 0], [1.5, -0.25]])
+    assert (found.geometry.focus_distance_m, found.geometry.principal_point) == (float("inf"), (1, 2))
+    assert found.valid[0].all()
+    np.testing.assert_array_equal(found.valid[1], picture(3, 1)[..., 0] > 100)
+
+
+def test_a_description_of_another_format(tmp_path: Path, true: LightField) -> None:
+    SAMPLES["npy"].write(true, tmp_path)
+    description = tmp_path / "lightfield.toml"
+    description.write_text(
+        '[source]\npath = "views.npy"\nformat = "numpy"\nflip = "v"\n[geometry]\nfocal_length_px = 9\nbaseline_m = 1\n'
+    )
+    found = read(tmp_path)
+    np.testing.assert_array_equal(found.view(0, 1), true.view(4, 1))
+    assert found.geometry is not None
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("views = 3", "views must be a list"),
+        ("colour = 1\n" + TWO, "a description has an unknown entry 'colour'"),
+        (TWO + "angle = 3\n", "views[1] has an unknown entry 'angle'"),
+        (TWO.replace("b.png", "c.png"), "views[1].file names"),
+        (TWO.replace("b.png", ""), "views[1] has no file"),
+        (TWO.replace("[1.5, -0.25]", "[1.5]"), "views[1].position must be a pair of numbers"),
+        (TWO.replace("[1.5, -0.25]", "[nan, 0]"), "must be a number, not nan"),
+        (TWO.replace("[1.5, -0.25]", "[inf, 0]"), "finite pairs"),
+        (TWO.replace("[1.5, -0.25]", "[true, 0]"), "must be a number, not True"),
+        (TWO.replace("[1.5, -0.25]", "[0, 0]"), "two views have the position row 0, column 0"),
+        (TWO.replace("position = [0, 0]\n", ""), "views[0] has no position"),
+        (TWO[:42], "lists 1 views"),
+        ("reference = 2\n" + TWO, "reference view 2 does not exist"),
+        ("reference = 1.5\n" + TWO, "reference must be a whole number"),
+        ("grid = [3, 3]\n" + TWO, "positions must be integers in the grid"),
+        ("name = 3\n" + TWO, "name must be a text"),
+        ("[geometry]\nfocal_length_px = 3\n" + TWO, "geometry has no baseline_m"),
+        ("[geometry]\nfocal_length_px = 3\nbaseline_m = -1\n" + TWO, "baseline_m must be a positive number"),
+        ('[truth]\ndisparity = "t.pfm"\n' + TWO, "truth must have a file of disparity and the position"),
+        ('[source]\npath = "."\nformat = "lightfield-toml"\n', "source must name a path and its format"),
+        ('[source]\npath = "."\n', "source must name a path and its format"),
+        ('[source]\npath = "no.npy"\nformat = "numpy"\n', "no.npy does not exist"),
+        ('[source]\npath = "a.png"\nformat = "numpy"\nflip = 3\n', "source: flip must be u"),
+        ("= 3", "is not valid TOML"),
+    ],
+)
+def test_descriptions_that_are_refused(tmp_path: Path, text: str, words: str) -> None:
+    found = refusal(lambda: read(describe(tmp_path, text)))
+    assert words in found
+    assert "lightfield.toml" in found or "no.npy" in found
+
+
+def test_json_that_is_refused(tmp_path: Path) -> None:
+    for text in ("[1", "[" * 100_000, "[]", '{"views": [{"file": "a"}, 3]}', '"\\ud800"', "{" + '"a":{' * 5000):
+        (tmp_path / "a.json").write_text(text)
+        assert "a.json" in refusal(lambda: read(tmp_path / "a.json"))
+
+
+# --- what the user says ---
+
+
+def test_flip_mirrors_the_cameras(tmp_path: Path) -> None:
+    save_named(tmp_path, box(2, 3))
+    plain, turned = read(tmp_path), read(tmp_path, flip="u")
+    np.testing.assert_array_equal(turned.view(0, 0), plain.view(0, 2))
+    np.testing.assert_array_equal(turned.view(1, 2), plain.view(1, 0))
+    assert turned.reference == turned.index_of(1, 1)
+    both = read(tmp_path, flip="uv")
+    np.testing.assert_array_equal(both.view(0, 0), plain.view(1, 2))
+    assert "flip must be u (columns)" in refusal(lambda: read(tmp_path, flip="x"))
+
+
+def test_parallax_tells_a_flip(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["npy"].write(true, tmp_path)
+    assert [axes_agree(read(path, flip=flip)) for flip in ("", "u", "v", "uv")] == [True, False, False, True]
+    assert axes_agree(true.subset("row")) is None
+    assert read(path).notes == ()
+    assert "read it without --flip v" in read(path, flip="v").notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"grid": (2, 3)}, "has rows and columns in the names of its images; leave grid out"),
+        ({"every": 2}, "for which every means nothing"),
+        ({"grid": (0, 3)}, "grid must be (rows, columns)"),
+        ({"every": 0}, "every must be a whole number of at least 1, not 0."),
+    ],
+)
+def test_options_that_mean_nothing_are_refused(tmp_path: Path, options: dict[str, Any], words: str) -> None:
+    save_named(tmp_path, box(2, 3))
+    assert words in refusal(lambda: read(tmp_path, **options))
+
+
+# --- what a user tries next ---
+
+
+def test_one_image_of_a_folder_names_the_folder(tmp_path: Path) -> None:
+    folder = save_named(tmp_path / "my views", box(2, 2))
+    text = refusal(lambda: read(folder / "view_00_01.png"))
+    assert f"give the folder {folder}, which is named-views" in text
+    save(tmp_path / "alone" / "a.png")
+    assert "one image (give the folder that holds the views" in refusal(lambda: read(tmp_path / "alone" / "a.png"))
+
+
+def test_archives_have_to_be_unpacked(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "lego.zip", "w") as archive:
+        archive.writestr("a.png", "x")
+    assert "a zip archive (unpack it" in refusal(lambda: read(tmp_path / "lego.zip"))
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.mat", "a.npz", "a.mp4"])
+def test_files_that_are_not_what_their_name_says(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("<html>404 Not Found</html>")
+    assert "does not begin as such files do" in refusal(lambda: read(tmp_path / name))
+    (tmp_path / name).write_bytes(b"")
+    assert "an empty file" in refusal(lambda: read(tmp_path / name))
+
+
+def test_formats_are_known_by_their_beginning_not_their_name(tmp_path: Path, true: LightField) -> None:
+    path = SAMPLES["npy"].write(true, tmp_path).rename(tmp_path / "views.dat")
+    assert recognise(path)[0].name == "numpy"
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes in the file system here")
+def test_pipes_and_links_in_circles(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert "neither a file nor a folder" in refusal(lambda: read(tmp_path / "pipe"))
+    (tmp_path / "circle").symlink_to("circle")
+    assert "cannot be opened" in refusal(lambda: read(tmp_path / "circle"))
+    folder = save_named(tmp_path / "views", box(1, 2))
+    (folder / "view_00_02.png").symlink_to("gone.png")
+    assert "view_00_02.png is a link that leads nowhere" in refusal(lambda: read(folder))
+    (folder / "view_00_02.png").unlink()
+    (folder / "around").symlink_to(folder)
+    assert len(read(folder).views) == 2

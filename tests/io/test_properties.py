@@ -172,7 +172,6 @@ def test_any_pfm(content: bytes) -> None:
         with suppress(LightFieldError):
             found = read_map(place / "a.pfm")
             header = re.match(rb"P[fF]\s+(\d+)\s+(\d+)\s", content)
-            assert header is not None
             assert found.shape == (int(header[2]), int(header[1]))
 
 
@@ -260,8 +259,6 @@ def test_descriptions_come_back_as_they_were(
         np.testing.assert_array_equal(again.views, views)
         np.testing.assert_array_equal(again.positions, first.positions)
         assert (again.name, again.reference, again.geometry) == (first.name, 1, first.geometry)
-        assert again.truth is not None
-        assert first.truth is not None
         np.testing.assert_array_equal(again.truth.disparity, first.truth.disparity)
         np.testing.assert_array_equal(again.truth.mask, first.truth.mask)
         assert again.truth.position == first.truth.position

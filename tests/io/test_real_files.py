@@ -30,8 +30,6 @@ def test_real_cotton() -> None:
     assert light_field.views.shape == (81, 512, 512, 3)
     assert (light_field.grid_shape, light_field.reference, light_field.notes) == ((9, 9), 40, ())
     truth, geometry = light_field.reference_truth(), light_field.geometry
-    assert truth is not None
-    assert geometry is not None
     depth = read_map(real("cotton") / "gt_depth_lowres.pfm")
     assert np.median(np.abs(geometry.depth(truth.disparity) - depth)) < 1e-3
 
@@ -42,8 +40,6 @@ def test_real_kitchen() -> None:
     assert light_field.notes == ("34 of 81 views of the 9 x 9 grid are there.",)
     assert light_field.positions[light_field.reference_index].tolist() == [4, 4]
     truth = light_field.reference_truth()
-    assert truth is not None
-    assert truth.mask is not None
     assert 0.5 < truth.mask.mean() < 1
 
 
@@ -73,7 +69,6 @@ def test_real_views_move_as_their_truth_says() -> None:
     """The sign convention on real data: the view to the right, read at x - d, looks like the centre view."""
     light_field = read(real("cotton"))
     truth = light_field.reference_truth()
-    assert truth is not None
     centre, right, below = (light_field.view(*place)[..., 1].astype(float) for place in ((4, 4), (4, 8), (8, 4)))
     y, x = np.mgrid[20:492, 20:492]
     shift = np.rint(4 * truth.disparity[y, x]).astype(int)
@@ -111,9 +106,7 @@ def test_real_export_of_an_old_scene() -> None:
     folder = real("stillLife_3x3")
     light_field = read(folder)
     truth, published = light_field.reference_truth(), read_map(folder / "gt_disp_3x3.pfm")
-    assert truth is not None
     assert np.abs(truth.disparity - published).max() < 1e-4
-    assert light_field.geometry is not None
     depth = np.fromfile(folder / "depth.bin", "<f4").reshape(light_field.size)
     assert np.abs(light_field.geometry.depth(truth.disparity) - depth).max() < 1e-4
     right_way, wrong_way = mismatches(light_field, truth.disparity)
@@ -132,8 +125,6 @@ def test_real_export_as_hdf5(tmp_path: Path) -> None:
         file.attrs.update({"dH": 614.4, "dV": 614.4, "focalLength": 9.375, "shift": 288})
     found = read(tmp_path / "stillLife.h5")
     np.testing.assert_array_equal(found.views[found.index_of(0, 2)], export.views[export.index_of(0, 2)])
-    assert found.truth is not None
-    assert export.truth is not None
     np.testing.assert_array_equal(found.truth.disparity, export.truth.disparity)
     assert found.geometry == export.geometry
 
@@ -203,6 +194,5 @@ def test_real_descriptions_read_back(name: str, tmp_path: Path) -> None:
     np.testing.assert_array_equal(again.positions, first.positions)
     assert (again.geometry, again.reference, again.grid_shape) == (first.geometry, first.reference, first.grid_shape)
     if first.truth is not None:
-        assert again.truth is not None
         np.testing.assert_array_equal(again.truth.disparity, first.truth.disparity)
         np.testing.assert_array_equal(again.truth.mask, first.truth.mask)

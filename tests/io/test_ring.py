@@ -44,7 +44,6 @@ def test_frames_come_as_they_were_written(path: Path, rng: np.random.Generator) 
             valid = rng.random(3) < 0.5
             assert writer.write(views, valid=valid, time_ns=100 + number) == number
             frame = reader.read()
-            assert frame is not None
             np.testing.assert_array_equal(frame.views, views)
             np.testing.assert_array_equal(frame.valid, valid)
             assert (frame.number, frame.time_ns, frame.passed) == (number, 100 + number, 0)
@@ -58,7 +57,6 @@ def test_types(path: Path, dtype: Any, channels: int) -> None:
     with RingWriter(path, POSITIONS, SIZE, dtype=dtype, channels=channels) as writer, RingReader(path) as reader:
         writer.write(views)
         frame = reader.read()
-        assert frame is not None
         assert frame.views.dtype == dtype
         np.testing.assert_array_equal(frame.views, views)
 
@@ -68,7 +66,6 @@ def test_the_newest_frame_is_read(path: Path) -> None:
         for value in range(10):
             writer.write(pictures(value))
         frame = reader.read()
-        assert frame is not None
         assert (frame.number, frame.passed, frame.views.max()) == (10, 9, 9)
 
 
@@ -95,7 +92,6 @@ def test_a_frame_that_is_written_over_while_it_is_copied_is_not_taken(
 
         monkeypatch.setattr(reader, "_fill", torn)
         frame = reader.read()
-        assert frame is not None
         assert (frame.number, reader.repeated) == (4, 1)
         assert set(np.unique(frame.views)) == {4}
 
@@ -137,7 +133,6 @@ def test_a_frame_that_is_not_finished_is_not_seen(path: Path) -> None:
             writer.write(pictures(value))
         writer.begin()[:] = 9  # the slot of frame 1
         frame = reader.read()
-        assert frame is not None
         assert set(np.unique(frame.views)) == {3}
 
 
@@ -150,7 +145,6 @@ def test_readers_notice_that_the_producer_ends(path: Path) -> None:
         writer.close()
         assert not path.exists()
         frame = reader.wait()
-        assert frame is not None
         assert frame.views.max() == 5
         assert reader.wait() is None
     with pytest.raises(lfgpu.LfgpuError, match="closed"):
@@ -280,7 +274,6 @@ def read_some(path: Path, command: list[Any], count: int) -> None:
                 last = 0
                 for _ in range(count):
                     frame = reader.wait()
-                    assert frame is not None
                     assert set(np.unique(frame.views)) == {frame.number % 251}
                     assert frame.number == last + 1 + frame.passed
                     last = frame.number

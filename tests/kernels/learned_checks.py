@@ -1,12 +1,202 @@
-"""The checks of the operations of the learned aggregation: how to run them."""
+"""The operations of the learned aggregation: cases, their random inputs and checks."""
 
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
+import checks
 import numpy as np
 from checks import Desk, Operation, Outputs, Values
 from programs import Program
 
 from lfgpu.contract import COSTS, FOLD, KernelSet
+
+
+@dataclass(frozen=True)
+class Stored(checks.Case):
+    """A case whose volumes are `stored` as float32 or float16."""
+
+    stored: str = "float32"
+
+    @property
+    def tolerance(self) -> float:
+        """Relative error of a float32 backend."""
+        return 1e-5 if self.stored == "float32" else 1e-3
+
+
+@dataclass(frozen=True)
+class SectorCase(Stored):
+    """Views at `offsets` recorded as `dtype`, costs of `count` disparities that begin at a number, or at a map."""
+
+    size: tuple[int, int] = (11, 14)
+    channels: int = 3
+    dtype: str = "uint8"
+    offsets: tuple[tuple[float, float], ...] = checks.grid(3, 3)
+    masked: bool = False
+    spread: float = 0.0
+    first: float = -1.5
+    step: float = 0.71875
+    count: int = 3
+    label: int = 0
+    room: int = 0
+    gain: float = 1.0
+
+
+SECTOR_CASES = (
+    SectorCase("colour uint8"),
+    SectorCase("a map", spread=2.0, masked=True),
+    SectorCase("grey uint8 masked", channels=1, masked=True),
+    SectorCase("colour float32 masked", dtype="float32", masked=True, size=(12, 9)),
+    SectorCase("grey float32 map", dtype="float32", channels=1, spread=1.0),
+    SectorCase("colour float16", dtype="float16"),
+    SectorCase("grey float16 masked", dtype="float16", channels=1, masked=True, spread=1.0),
+    SectorCase("colour uint16 masked", dtype="uint16", masked=True),
+    SectorCase("grey uint16", dtype="uint16", channels=1, size=(9, 12)),
+    SectorCase("half precision", "float16", masked=True, spread=1.0),
+    SectorCase("half precision grey", "float16", channels=1, dtype="float32"),
+    SectorCase("one pixel wide", size=(13, 1)),
+    SectorCase("one pixel high", size=(1, 13), channels=1, masked=True),
+    SectorCase("one pixel", size=(1, 1), dtype="float32"),
+    SectorCase("room beyond the border", size=(7, 5), room=6),
+    SectorCase("one row of views", offsets=checks.grid(1, 5), masked=True),
+    SectorCase("corner reference", offsets=tuple((u + 1, v + 1) for u, v in checks.grid(3, 3))),
+    SectorCase("one view without offset", offsets=((0.0, 0.0),)),
+    SectorCase("irregular offsets", offsets=checks.IRREGULAR, masked=True, label=2),
+    SectorCase("partly out of the frame", first=-9.0, step=2.125, masked=True, spread=3.0),
+    SectorCase("all out of the frame", first=20.0, offsets=((1.0, 0.0), (-1.0, 1.0), (0.0, -2.0))),
+    SectorCase("whole shifts", first=-2.0, step=1.0, count=4),
+    SectorCase("dark", gain=0.01),
+    SectorCase("many views", offsets=checks.grid(5, 7), size=(7, 8), channels=1, masked=True),
+    SectorCase("wide", size=(5, 150), spread=0.5),
+    SectorCase("work for several threads", size=(53, 67), offsets=checks.grid(3, 4), masked=True, count=2),
+)
+
+
+def sector_inputs(case: SectorCase, rng: np.random.Generator) -> SimpleNamespace:
+    """A scene at disparity 0 but for noise."""
+    shape, n = case.size, len(case.offsets)
+    image = case.gain * rng.random((*shape, case.channels)).astype(np.float32)
+    intensities = 0.7 * image + 0.3 * case.gain * rng.random((n, *shape, case.channels))
+    folded = [-(-(side + case.room) // FOLD) for side in shape]
+    return SimpleNamespace(
+        image=image,
+        recorded=checks.stored(intensities, case.dtype),
+        valid=(rng.random((n, *shape)) < 0.7).astype(np.float32) if case.masked else None,
+        offsets=np.array(case.offsets, np.float32),
+        first=checks.coarse(case.first + case.spread * rng.uniform(-1, 1, shape), 2.0**-6),
+        factor=1.25,
+        folded=tuple(folded),
+        stored=case.stored,
+        scale=checks.scale_of(case.dtype),
+        options={"step": case.step, "label": case.label},
+        count=case.count,
+    )
+
+
+@dataclass(frozen=True)
+class ConvolutionCase(Stored):
+    """A volume of `size` with `channels` in and out; `added` has sizes that are shorter by these factors."""
+
+    size: tuple[int, int, int] = (4, 6, 10)
+    channels: tuple[int, int] = (8, 8)
+    window: tuple[int, int, int] = (3, 3, 3)
+    strides: tuple[int, int, int] = (1, 1, 1)
+    added: tuple[int, int, int] | None = None
+    rectified: bool = True
+    at: int = 0
+    exact: bool = False
+    """Whether the result is stored as float32, whatever else is."""
+
+    @property
+    def tolerance(self) -> float:
+        return 1e-5 if self.exact else super().tolerance
+
+
+_LAYERS = (
+    ConvolutionCase("all around"),
+    ConvolutionCase("as it is", rectified=False, channels=(16, 4), exact=True),
+    ConvolutionCase("pixel by pixel", window=(1, 1, 1), channels=(64, 48), at=2),
+    ConvolutionCase("an image is added", window=(1, 1, 1), channels=(48, 24), added=(4, 1, 1)),
+    ConvolutionCase("an image", size=(1, 9, 13), window=(1, 3, 3), channels=(16, 24)),
+    ConvolutionCase("a coarse volume is added", window=(1, 1, 1), channels=(40, 40), added=(2, 2, 2)),
+    ConvolutionCase("a coarse volume of as many slices", window=(1, 1, 1), channels=(24, 24), added=(1, 2, 2)),
+    ConvolutionCase("strides", strides=(2, 2, 2), channels=(40, 56), size=(8, 10, 12)),
+    ConvolutionCase("strides of odd sizes", strides=(2, 2, 2), channels=(24, 40), size=(5, 7, 13)),
+    ConvolutionCase("strides in the image", strides=(1, 2, 2), window=(1, 3, 3), channels=(72, 72)),
+    ConvolutionCase("stride of slices alone", strides=(2, 1, 1), window=(3, 1, 1), rectified=False, at=1),
+    ConvolutionCase("wide", size=(2, 3, 70), channels=(56, 56)),
+    ConvolutionCase("high", size=(2, 70, 3), channels=(24, 24)),
+    ConvolutionCase("many channels", size=(3, 4, 5), channels=(72, 72)),
+    ConvolutionCase("one voxel", size=(1, 1, 1)),
+    ConvolutionCase("large window", size=(3, 6, 7), window=(1, 5, 7)),
+    ConvolutionCase("work for several threads", size=(4, 17, 67), channels=(24, 4)),
+)
+CONVOLUTION_CASES = (*_LAYERS, *(replace(case, name=f"half {case}", stored="float16") for case in _LAYERS))
+
+
+def convolution_inputs(case: ConvolutionCase, rng: np.random.Generator) -> SimpleNamespace:
+    """Random numbers that float16 holds as they are."""
+
+    def half(shape: tuple[int, ...], size: float = 1.0) -> np.ndarray:
+        return (size * rng.normal(size=shape)).astype(np.float16).astype(np.float32)
+
+    size = tuple(-(-length // stride) for length, stride in zip(case.size, case.strides, strict=True))
+    inputs, outputs = case.channels
+    added = None
+    if case.added is not None:
+        added = half((*(length // by for length, by in zip(size, case.added, strict=True)), outputs))
+    return SimpleNamespace(
+        volume=half((*case.size, inputs)),
+        weights=half((*case.window, *case.channels), (inputs * np.prod(case.window)) ** -0.5),
+        bias=half((outputs,)),
+        added=added,
+        before=half((size[0] + case.at, *size[1:], outputs)),
+        stored=case.stored,
+        result=case.stored if not case.exact else "float32",
+        at=case.at,
+        options={"strides": case.strides, "rectified": case.rectified},
+    )
+
+
+@dataclass(frozen=True)
+class PeakCase(Stored):
+    """Logits of `count` disparities for a map of `size`, folded with room for more."""
+
+    size: tuple[int, int] = (6, 10)
+    count: int = 12
+    room: int = 0
+    sharpness: float = 3.0
+
+    @property
+    def tolerance(self) -> float:
+        return 1e-5
+
+
+PEAK_CASES = (
+    PeakCase("peaks"),
+    PeakCase("odd sizes", size=(7, 9)),
+    PeakCase("room beyond the border", size=(5, 6), room=5),
+    PeakCase("half precision", "float16"),
+    PeakCase("one disparity", count=1),
+    PeakCase("few disparities", count=4),
+    PeakCase("one pixel", size=(1, 1)),
+    PeakCase("nothing is likely", sharpness=0.0),
+    PeakCase("sharp", sharpness=400.0),
+    PeakCase("work for several threads", size=(33, 150), count=32),
+)
+
+
+def peak_inputs(case: PeakCase, rng: np.random.Generator) -> SimpleNamespace:
+    folded = (-(-(side + case.room) // FOLD) for side in case.size)
+    logits = case.sharpness * rng.normal(size=(case.count, *folded, FOLD**2))
+    return SimpleNamespace(
+        logits=logits.astype(np.float16).astype(np.float32),
+        first=checks.coarse(rng.uniform(-2, 2, case.size), 2.0**-6),
+        step=0.71875,
+        stored=case.stored,
+        probability=rng.choice([0.0, 1.0, *rng.random(8)], case.size),
+        deviation=rng.choice([0.0, *rng.random(8)], case.size),
+        weights_of_judge={"share": rng.normal(size=4), "spread": rng.normal(size=3), "limit": 0.28},
+    )
 
 
 def brightness(desk: Desk, i: SimpleNamespace) -> Outputs:

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import alignment_checks
 import numpy as np
 import pytest
-from alignment_cases import (
+from alignment_checks import (
     ALIGNMENT_CASES,
     OUTLINE_CASES,
     RATIO_CASES,

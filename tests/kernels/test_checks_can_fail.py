@@ -5,17 +5,14 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import alignment_checks
-import cases
 import checks
 import numpy as np
 import programs
 import pytest
 import range_search_checks
 import smoothing_checks
-import splat_cases
 import splat_checks
 import sweep_checks
-import vector_cases
 import vector_checks
 import volume_checks
 
@@ -25,8 +22,8 @@ from lfgpu.contract import KernelSet
 pytestmark = pytest.mark.thorough
 
 REFERENCE = load("reference")
-SPLAT = splat_cases.SplatCase("splat", offsets=cases.IRREGULAR, masked=True, dtype="uint8")
-VECTOR = vector_cases.VectorCase("vector", (11, 14))
+SPLAT = splat_checks.SplatCase("splat", offsets=checks.IRREGULAR, masked=True, dtype="uint8")
+VECTOR = vector_checks.VectorCase("vector", (11, 14))
 
 Operation = Callable[..., Any]
 Check = Callable[[KernelSet], Any]
@@ -45,12 +42,12 @@ def rng() -> np.random.Generator:
 def value_of(name: str) -> Check:
     """The check of an operation against the reference."""
     (operation,) = (found for found in (*vector_checks.OPERATIONS, *splat_checks.OPERATIONS) if str(found) == name)
-    inputs = splat_cases.splat_inputs(SPLAT, rng()) if operation.inputs == "splat" else vector_inputs()
+    inputs = splat_checks.splat_inputs(SPLAT, rng()) if operation.inputs == "splat" else vector_inputs()
     return lambda kernels: checks.check_value(kernels, "cpu", operation, inputs, 1e-5, again=True)
 
 
 def vector_inputs() -> SimpleNamespace:
-    return vector_cases.vector_inputs(VECTOR, rng())
+    return vector_checks.vector_inputs(VECTOR, rng())
 
 
 def program(make: programs.MakeProgram) -> Check:
@@ -65,7 +62,6 @@ def captured(kernels: KernelSet) -> None:
     assert programs.check_capture(able, "cpu", make, first, second)
     total, one = np.zeros((1, 1)), np.ones((1, 1))
     again = able.capture(lambda: able.axpby(1.0, total, 1.0, one, total), "cpu")
-    assert again is not None
     again()
     assert total[0, 0] == 1
 

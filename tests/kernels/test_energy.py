@@ -5,9 +5,8 @@ from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace
 from typing import Any
 
-import cases
 import checks
-import nlm_cases
+import nlm_checks
 import numpy as np
 import pytest
 import test_reference
@@ -25,13 +24,13 @@ REFERENCE = load("reference")
 
 
 @dataclass(frozen=True)
-class EnergyCase(cases.Case):
+class EnergyCase(checks.Case):
     """A light field of random views at `offsets` from its reference, and a map in `disparities`."""
 
     size: tuple[int, int] = (6, 7)
     channels: int = 3
     dtype: str = "float32"
-    offsets: tuple[tuple[float, float], ...] = cases.grid(3, 3)
+    offsets: tuple[tuple[float, float], ...] = checks.grid(3, 3)
     disparities: tuple[float, float] = (-1.5, 1.5)
     masked: bool = False
     detail_scale: float = 1.5
@@ -42,11 +41,11 @@ ENERGY_CASES = (
     EnergyCase("colour grid"),
     EnergyCase("grey uint8", channels=1, dtype="uint8"),
     EnergyCase("raw intensities uint16", dtype="uint16", detail_scale=0.0),
-    EnergyCase("one row of views", offsets=cases.grid(1, 5)),
-    EnergyCase("one column of views", offsets=cases.grid(5, 1), channels=1),
+    EnergyCase("one row of views", offsets=checks.grid(1, 5)),
+    EnergyCase("one column of views", offsets=checks.grid(5, 1), channels=1),
     EnergyCase("two views", offsets=((0.0, 0.0), (1.0, 0.0))),
-    EnergyCase("grid with holes", offsets=tuple(cases.grid(3, 3)[k] for k in (0, 1, 3, 4, 8)), dtype="uint8"),
-    EnergyCase("irregular offsets", offsets=((0.0, 0.0), *cases.IRREGULAR)),
+    EnergyCase("grid with holes", offsets=tuple(checks.grid(3, 3)[k] for k in (0, 1, 3, 4, 8)), dtype="uint8"),
+    EnergyCase("irregular offsets", offsets=((0.0, 0.0), *checks.IRREGULAR)),
     EnergyCase("masked", masked=True),
     EnergyCase("masked with its rim", masked=True, rim=True),
     EnergyCase("colour grid with its rim", rim=True),
@@ -60,7 +59,7 @@ def energy_inputs(case: EnergyCase, rng: np.random.Generator) -> SimpleNamespace
     shape = len(case.offsets), *case.size
     return SimpleNamespace(
         lf=LightField(
-            cases.stored(rng.random((*shape, case.channels)), case.dtype),
+            checks.stored(rng.random((*shape, case.channels)), case.dtype),
             np.array(case.offsets),
             reference=case.offsets.index((0.0, 0.0)),
             valid=rng.random(shape) < 0.8 if case.masked else None,
@@ -176,8 +175,8 @@ def prior_of(image: np.ndarray, config: PriorConfig) -> tuple[NonLocalMeans, Eva
 
 
 def test_prior_is_the_sum_over_pairs(rng: np.random.Generator) -> None:
-    case = nlm_cases.NlmCase("colour", size=(5, 6), window=5)
-    i = nlm_cases.nlm_inputs(case, rng)
+    case = nlm_checks.NlmCase("colour", size=(5, 6), window=5)
+    i = nlm_checks.nlm_inputs(case, rng)
     shared = [field.name for field in fields(PriorConfig)]
     prior, value_and_gradient = prior_of(i.image, PriorConfig(**{name: i.options[name] for name in shared}))
     w, v = test_reference.brute_weights(i), i.values.astype(float).ravel()

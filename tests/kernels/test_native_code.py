@@ -1,16 +1,23 @@
-"""The files of `kernels/warp/native`: how they are taken apart for Warp, and that Warp's compilers take all of them.
+"""Warp on this machine: files of native code, threads that give the same bits, and the cache of compiled kernels."""
 
-What runs on a CPU is compiled by the test matrix. What runs on a GPU is compiled here, by the compiler for GPUs that
-Warp brings: it needs no GPU.
-"""
-
+import os
 import re
+import subprocess
+import sys
+import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import checks
+import numpy as np
 import pytest
+from test_matrix import INPUTS, OPERATIONS
+
+import lfgpu
+from lfgpu.errors import BackendError
 
 wp = pytest.importorskip("warp")
 
@@ -184,3 +191,184 @@ def test_arguments_that_warp_cannot_give_are_refused(argument: str, folder: Path
     (folder / "bad.h").write_text(f"void bad({argument}) {{\n    ;\n}}\n")
     with pytest.raises(AssertionError, match="is no argument that Warp can give"):
         native_code.kernel("bad.h", "bad", module="lfgpu_test_bad")
+
+
+KINDS = {"splat", "occlusion", "alignment", "ratio", "sweep", "views", "smoothing", "reduction", "nlm", "volume", "epi"}
+"""Inputs of operations whose work is cut, besides those that are reduced."""
+SPLIT = [
+    operation
+    for operation in OPERATIONS
+    if operation.inputs in KINDS | {"reduced"} and str(operation) != "image_memory"
+]
+
+
+@pytest.fixture
+def warp(other: Any) -> Any:
+    if (other.backend, other.device) != ("warp", "cpu"):
+        pytest.skip("only Warp on a CPU has such threads")
+    return other
+
+
+@pytest.fixture
+def threads(warp: Any) -> Iterator[Any]:
+    """The module that cuts work into slices; the number of threads is what it was before when the test is over."""
+    yield pytest.importorskip("lfgpu.kernels.warp.threads")
+    lfgpu.set_threads(None)
+
+
+@pytest.mark.parametrize("operation", SPLIT, ids=str)
+def test_bits_do_not_depend_on_the_number_of_threads(
+    warp: Any, threads: Any, operation: checks.Operation, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    launched: dict[int, set[str]] = {}
+    launch = wp.launch
+
+    def noted(*args: Any, **kwargs: Any) -> None:
+        launched.setdefault(lfgpu.get_threads(), set()).add(threading.current_thread().name)
+        launch(*args, **kwargs)
+
+    monkeypatch.setattr(wp, "launch", noted)
+    cases, make = INPUTS[operation.inputs]
+    (case,) = (case for case in cases if case.name == "work for several threads")
+    inputs, results = make(case, rng), []
+    for count in (1, 2, 5):
+        lfgpu.set_threads(count)
+        results.append(checks.compute(warp.kernels, warp.device, operation, inputs))
+    assert launched[1] == {threading.current_thread().name}
+    for count in (2, 5):  # the work did go through the pool
+        assert any(name.startswith("lfgpu") for name in launched[count])
+    for other in results[1:]:
+        for output in other:
+            np.testing.assert_array_equal(other[output], results[0][output])
+
+
+@pytest.mark.parametrize("count", [1, 2, 15, 16, 17, 100])
+def test_slices_cover_everything_once(warp: Any, threads: Any, count: int) -> None:
+    device = warp.kernels.zeros((1,), "cpu").device
+    cuts = threads.slices(device, count)
+    assert [i for first, last in cuts for i in range(first, last)] == list(range(count))
+    seen: list[tuple[int, int]] = []
+    threads.in_slices(device, count, lambda _, first, last: seen.append((first, last)))
+    assert sorted(seen) == cuts
+
+
+def test_threads_fail_together_and_refuse_what_cannot_be_counted(warp: Any, threads: Any) -> None:
+    lfgpu.set_threads(2)
+
+    def work(part: int, first: int, last: int) -> None:
+        if part == 3:
+            raise ZeroDivisionError("in part 3")
+
+    with pytest.raises(ZeroDivisionError, match="in part 3"):
+        threads.in_slices(warp.kernels.zeros((1,), "cpu").device, 8, work)
+    from lfgpu.kernels.warp.threads import check_size
+
+    check_size(2**31 - 1)
+    with pytest.raises(BackendError, match=r"2147483648 threads .* use fewer or smaller views"):
+        check_size(5, 2**31)
+
+
+def test_once_runs_a_function_once_however_many_threads_ask() -> None:
+    once = pytest.importorskip("lfgpu.kernels.warp.threads").once
+    calls: list[int] = []
+    together = threading.Barrier(8)
+
+    @once
+    def slow(value: int) -> int:
+        calls.append(value)
+        time.sleep(0.02)
+        return value
+
+    def ask() -> None:
+        together.wait()
+        slow(3)
+
+    asking = [threading.Thread(target=ask) for _ in range(8)]
+    for thread in asking:
+        thread.start()
+    for thread in asking:
+        thread.join()
+    assert calls == [3]
+
+
+def test_a_reach_that_a_row_has_no_room_for_is_refused(warp: Any) -> None:
+    with pytest.raises(AssertionError, match="reach is 101"):
+        warp.kernels.z_buffer((1, 4, 4, 1), warp.kernels.field(np.zeros((1, 2), np.float32), "cpu"), reach=101)
+
+
+pytest.importorskip("warp")
+
+_CODE = """
+import numpy as np
+from lfgpu.errors import BackendError
+from lfgpu._backends import load
+try:
+    kernels = load("warp")
+    views = kernels.image(np.full((2, 8, 8, 3), 51, np.uint8), "cpu")
+    image = kernels.zeros_image((8, 8, 3), "cpu")
+    kernels.intensities(views, 0, None, scale=1 / 255, fill=0.0, image_out=image)
+    print("done", float(kernels.numpy(image).mean()))
+    residuals = kernels.residuals("cpu", tolerance=0.5, most=3)  # these are not loaded before they are launched
+    residuals.begin(kernels.scalar(4.0, "cpu"))
+    residuals.add(kernels.scalar(1.0, "cpu"))
+    print("left", residuals.report())
+except BackendError as error:
+    print("refused:", error)
+"""
+
+
+def run(cache: Path | str) -> str:
+    """In a process of its own, with another cache."""
+    environment = {**os.environ, "WARP_CACHE_PATH": str(cache)}
+    done = subprocess.run([sys.executable, "-c", _CODE], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.thorough
+def test_a_cache_that_is_damaged_is_made_again(tmp_path: Path) -> None:
+    """Cut short by a crash, with bits that were flipped, and with sums that are no trust."""
+    first = run(tmp_path)
+    assert first.startswith("done 0.2")
+    assert first.endswith("left [0.5]\n")
+    objects = [file for file in tmp_path.rglob("*") if file.suffix in (".o", ".so")]
+    assert objects
+    for file in objects:
+        file.write_bytes(file.read_bytes()[:300])
+    assert run(tmp_path) == first
+    for file in objects:
+        data = file.read_bytes()
+        middle = len(data) // 2
+        file.write_bytes(data[:64] + bytes(255 - byte for byte in data[64:middle]) + data[middle:])
+    assert run(tmp_path) == first
+    for file in objects:
+        file.with_name(f"{file.name}.crc32").write_bytes(b"\xff")
+    assert run(tmp_path) == first
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("value", ["", "here"])
+@pytest.mark.parametrize("name", ["XDG_CACHE_HOME", "WARP_CACHE_PATH"])
+def test_no_native_code_is_kept_in_or_loaded_from_the_current_folder(tmp_path: Path, name: str, value: str) -> None:
+    """A relative WARP_CACHE_PATH is an own wish; XDG_CACHE_HOME is none then, as its specification says."""
+    (tmp_path / "now").mkdir()
+    environment = {key: text for key, text in os.environ.items() if key != "WARP_CACHE_PATH"}
+    environment |= {"HOME": str(tmp_path / "home"), name: value}
+    done = subprocess.run(
+        [sys.executable, "-c", _CODE], env=environment, cwd=tmp_path / "now", capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("done 0.2")
+    is_wish = (name, value) == ("WARP_CACHE_PATH", "here")
+    assert [path.name for path in (tmp_path / "now").iterdir()] == (["here"] if is_wish else [])
+
+
+def test_all_kernels_are_launched_such_that_they_are_made_again() -> None:
+    files = (Path(__file__).parents[2] / "kernels" / "warp").rglob("*.py")
+    assert [file.name for file in files if "wp.launch" in file.read_text()] == ["threads.py"]
+
+
+def test_a_cache_that_cannot_be_written_is_a_sentence(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("not a folder")
+    text = run(tmp_path / "file" / "cache")
+    assert text.startswith("refused: ")
+    assert "set WARP_CACHE_PATH" in text

@@ -4,17 +4,12 @@ import itertools
 import math
 from types import SimpleNamespace
 
-import cases
 import checks
-import local_cases
 import local_checks
-import nlm_cases
 import nlm_checks
 import numpy as np
 import pytest
-import splat_cases
 import splat_checks
-import view_cases
 import view_checks
 from lfgpu.kernels.reference.splat import tent, tent_slope
 
@@ -71,9 +66,9 @@ def test_tent_is_continuously_differentiable(softness: float) -> None:
 # --- the splat ---
 
 
-@pytest.mark.parametrize("case", [case for case in splat_cases.SPLAT_CASES if math.prod(case.size) <= 200], ids=str)
-def test_splat_is_the_formula(case: splat_cases.SplatCase, rng: np.random.Generator) -> None:
-    i = splat_cases.splat_inputs(case, rng)
+@pytest.mark.parametrize("case", [case for case in splat_checks.SPLAT_CASES if math.prod(case.size) <= 200], ids=str)
+def test_splat_is_the_formula(case: splat_checks.SplatCase, rng: np.random.Generator) -> None:
+    i = splat_checks.splat_inputs(case, rng)
     height, width = case.size
     offsets = i.offsets[:2]
     views, coverage = np.zeros((len(offsets), height, width, case.channels)), np.zeros((len(offsets), height, width))
@@ -91,8 +86,8 @@ def test_splat_is_the_formula(case: splat_cases.SplatCase, rng: np.random.Genera
 
 
 def test_splat_of_a_constant_disparity_shifts_the_image_against_the_camera(rng: np.random.Generator) -> None:
-    i = splat_cases.splat_inputs(
-        splat_cases.SplatCase("shift", offsets=((1.0, 0.0), (0.0, -1.0)), disparities=(2.0, 2.0)), rng
+    i = splat_checks.splat_inputs(
+        splat_checks.SplatCase("shift", offsets=((1.0, 0.0), (0.0, -1.0)), disparities=(2.0, 2.0)), rng
     )
     right, up = run(splat_checks.SPLAT, i)["views"]
     np.testing.assert_array_equal(right[:, :-2], i.image[:, 2:])  # seen from the right, things are 2 further left
@@ -100,7 +95,7 @@ def test_splat_of_a_constant_disparity_shifts_the_image_against_the_camera(rng: 
 
 
 def test_data_term_is_the_sum_of_squares_over_valid_pixels(rng: np.random.Generator) -> None:
-    i = splat_cases.splat_inputs(splat_cases.SplatCase("masked", masked=True, dtype="uint8"), rng)
+    i = splat_checks.splat_inputs(splat_checks.SplatCase("masked", masked=True, dtype="uint8"), rng)
     difference = run(splat_checks.SPLAT, i)["views"] - i.recorded / 255.0
     want = float((i.valid[..., None] * difference**2).sum())
     assert float(run(splat_checks.DATA_TERM, i)["value"]) == pytest.approx(want, rel=1e-12)
@@ -158,25 +153,25 @@ def dense(weights: np.ndarray, window: int) -> np.ndarray:
 
 
 TINY = (
-    nlm_cases.NlmCase("colour", size=(5, 6), window=5),
-    nlm_cases.NlmCase("grey", size=(6, 4), window=3, channels=1),
-    nlm_cases.NlmCase("wide patch", size=(4, 6), window=7, patch=5),
-    nlm_cases.NlmCase("single pixel patch", size=(5, 5), patch=1),
-    nlm_cases.NlmCase("line", size=(1, 9), window=5),
-    nlm_cases.NlmCase("floor", size=(5, 5), sigma_color=0.05, floor=0.1),
+    nlm_checks.NlmCase("colour", size=(5, 6), window=5),
+    nlm_checks.NlmCase("grey", size=(6, 4), window=3, channels=1),
+    nlm_checks.NlmCase("wide patch", size=(4, 6), window=7, patch=5),
+    nlm_checks.NlmCase("single pixel patch", size=(5, 5), patch=1),
+    nlm_checks.NlmCase("line", size=(1, 9), window=5),
+    nlm_checks.NlmCase("floor", size=(5, 5), sigma_color=0.05, floor=0.1),
 )
 
 
 @pytest.mark.parametrize("case", TINY, ids=str)
-def test_nlm_weights_are_the_formula(case: nlm_cases.NlmCase, rng: np.random.Generator) -> None:
-    i = nlm_cases.nlm_inputs(case, rng)
+def test_nlm_weights_are_the_formula(case: nlm_checks.NlmCase, rng: np.random.Generator) -> None:
+    i = nlm_checks.nlm_inputs(case, rng)
     got = dense(run(nlm_checks.WEIGHTS, i)["weights"], case.window)
     np.testing.assert_allclose(got, brute_weights(i), rtol=1e-12, atol=1e-14)
 
 
 @pytest.mark.parametrize("case", TINY, ids=str)
-def test_nlm_operators_are_their_matrices(case: nlm_cases.NlmCase, rng: np.random.Generator) -> None:
-    i = nlm_cases.nlm_inputs(case, rng)
+def test_nlm_operators_are_their_matrices(case: nlm_checks.NlmCase, rng: np.random.Generator) -> None:
+    i = nlm_checks.nlm_inputs(case, rng)
     w = dense(i.weights.astype(float), case.window)
     values = i.values.astype(float).ravel()
     np.testing.assert_allclose(run(nlm_checks.NEIGHBORS, i)["sums"].ravel(), w @ values + values, rtol=0, atol=1e-12)
@@ -236,10 +231,6 @@ def test_coherence_lies_between_0_and_1(rng: np.random.Generator) -> None:
         assert coherence.min() >= 0
         assert coherence.max() <= 1
     assert coherence.min() < 0.5  # noise is not coherent everywhere
-
-
-def test_flat_views_have_no_coherence() -> None:
-    offsets = np.arange(-3.0, 4.0)
     filters = structure_filters(offsets, LocalConfig())
     plan = REFERENCE.structure_tensor((7, 5, 20, 1), offsets, filters, scale=1.0, floor=1e-3)
     found, coherence = np.empty((2, 5, 20))
@@ -249,8 +240,8 @@ def test_flat_views_have_no_coherence() -> None:
 
 def test_best_estimate_is_found_pixel_by_pixel(rng: np.random.Generator) -> None:
     for vertical in (False, True):
-        case = local_cases.CoherenceCase("any", size=(6, 8), vertical=vertical, unit=2.0, bounds=(-0.25, 0.5))
-        i = local_cases.coherence_inputs(case, rng)
+        case = local_checks.CoherenceCase("any", size=(6, 8), vertical=vertical, unit=2.0, bounds=(-0.25, 0.5))
+        i = local_checks.coherence_inputs(case, rng)
         best, coherence = i.best_disparity.astype(float), i.best_coherence.astype(float)
         for estimate, (y, x) in itertools.product(i.estimates, np.ndindex(6, 8)):
             place = (x, y) if vertical else (y, x)
@@ -284,8 +275,8 @@ def gaussian_weights(size: int, sigma: float) -> np.ndarray:
 def test_normalization_is_the_formula(
     sigma: float, size: tuple[int, int], masked: bool, rng: np.random.Generator
 ) -> None:
-    case = view_cases.ViewsCase("any", size=size, sigma=sigma, masked=masked, dtype="uint8", floor=0.1)
-    i = view_cases.views_inputs(case, rng)
+    case = view_checks.ViewsCase("any", size=size, sigma=sigma, masked=masked, dtype="uint8", floor=0.1)
+    i = view_checks.views_inputs(case, rng)
     got = run(view_checks.NORMALIZATION, i)["detail"]
     for n, view in enumerate(i.views / 255.0):
         counts = np.ones(size) if i.valid is None else (i.valid[n] != 0).astype(float)
@@ -301,16 +292,8 @@ def test_normalization_is_the_formula(
         np.testing.assert_allclose(got[n], detail / contrast[..., None], rtol=0, atol=1e-11)
 
 
-def test_lines_of_views_are_the_views(rng: np.random.Generator) -> None:
-    i = view_cases.views_inputs(view_cases.ViewsCase("any", line=(2, 0)), rng)
-    row = run(view_checks.LINE_OF_VIEWS, i)["epis"]
-    column = run(view_checks.LINE_OF_VIEWS, changed(i, vertical=True))["epis"]
-    np.testing.assert_array_equal(row, i.views[[2, 0]])
-    np.testing.assert_array_equal(column, row.swapaxes(1, 2))
-
-
-def test_seen_by_reference_pixel_by_pixel(rng: np.random.Generator) -> None:
-    i = splat_cases.seen_inputs(splat_cases.SplatCase("any", size=(5, 6), offsets=cases.IRREGULAR), rng)
+def test_views_are_seen_pixel_by_pixel(rng: np.random.Generator) -> None:
+    i = splat_checks.seen_inputs(splat_checks.SplatCase("any", size=(5, 6), offsets=checks.IRREGULAR), rng)
     got = run(splat_checks.SEEN_BY_REFERENCE, i)
     for n, y, x in np.ndindex(got["both"].shape):
         at_x, at_y = (p + float(i.disparity[y, x]) * float(o) for p, o in zip((x, y), i.offsets[n], strict=True))
@@ -320,10 +303,12 @@ def test_seen_by_reference_pixel_by_pixel(rng: np.random.Generator) -> None:
         assert got["known"][n, y, x] == known
         assert got["valid"][n, y, x] == (inside and i.valid[n, y, x] != 0)
         assert got["both"][n, y, x] == (known and i.valid[n, y, x] != 0)
-
-
-def test_all_is_seen_of_what_splats_on_whole_pixels(rng: np.random.Generator) -> None:
-    """With the same disparity everywhere, a pixel that is seen is one that something lands on."""
-    i = splat_cases.seen_inputs(splat_cases.SplatCase("whole", disparities=(2.0, 2.0)), rng)
+    # With the same disparity everywhere, a pixel that is seen is one that something lands on.
+    i = splat_checks.seen_inputs(splat_checks.SplatCase("whole", disparities=(2.0, 2.0)), rng)
     coverage = run(splat_checks.SPLAT, i)["coverage"]
     np.testing.assert_array_equal(run(splat_checks.SEEN_BY_REFERENCE, i)["anything"], coverage)
+    i = view_checks.views_inputs(view_checks.ViewsCase("any", line=(2, 0)), rng)
+    row = run(view_checks.LINE_OF_VIEWS, i)["epis"]
+    column = run(view_checks.LINE_OF_VIEWS, changed(i, vertical=True))["epis"]
+    np.testing.assert_array_equal(row, i.views[[2, 0]])
+    np.testing.assert_array_equal(column, row.swapaxes(1, 2))

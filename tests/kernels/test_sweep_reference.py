@@ -1,16 +1,21 @@
-"""The plane sweep of the reference backend against its definition, pixel by pixel with plain numbers."""
+"""Sweeps, occlusions and cost volumes in the reference against their definitions, with plain numbers."""
 
+import itertools
 import math
 from types import SimpleNamespace
 
 import numpy as np
+import occlusion_checks
 import pytest
 import sweep_checks
-from checks import compute
-from sweep_cases import SWEEP_CASES, SweepCase, sweep_inputs
-from test_reference import REFERENCE
+import volume_checks
+from checks import Operation, compute
+from occlusion_checks import OCCLUSION_CASES, OcclusionCase, occlusion_inputs
+from sweep_checks import SWEEP_CASES, SweepCase, sweep_inputs
+from test_reference import REFERENCE, tent_of_any
+from volume_checks import REDUCED_CASES, VOLUME_CASES, VolumeCase, volume_inputs
 
-from lfgpu.contract import Disparities, sweep_shifts
+from lfgpu.contract import Disparities, half_window, sweep_shifts
 
 SMALL = [case for case in SWEEP_CASES if math.prod(case.size) <= 200]
 PIXELS = 4  # of each case are computed
@@ -105,12 +110,183 @@ def test_cases_reach_what_they_should(rng: np.random.Generator) -> None:
         more = sweep_checks.changed(i, options={**i.options, name: 1.5 * truncation})
         differs = compute(REFERENCE, "cpu", sweep_checks.SWEEP, more)["view_sets"] != got["view_sets"]
         assert 0.1 < differs.mean() <= 1
-
-
-def test_shifts_that_should_be_whole_are() -> None:
-    """0.1 * 30 is not 3 in floating point."""
+    # 0.1 * 30 is not 3 in floating point.
     shifts = sweep_shifts(np.array([[1.0, -2.0], [0.5, 0.0]]), Disparities(-3.0, 0.1, 61))
     assert shifts.shape == (61, 2, 2)
     np.testing.assert_array_equal(shifts[::10, 0, 0], [3, 2, 1, 0, -1, -2, -3])
     np.testing.assert_array_equal(shifts[::5, 0, 1], np.arange(-6, 7))
     np.testing.assert_allclose(shifts[7, 1], [1.15, 0], rtol=0, atol=2.0**-17)
+
+
+SMALL_OCCLUSIONS = [case for case in OCCLUSION_CASES if math.prod(case.size) <= 200]
+
+
+def run(operation: Operation, inputs: SimpleNamespace) -> dict[str, np.ndarray]:
+    return compute(REFERENCE, "cpu", operation, inputs)
+
+
+def mean_of_what_lands(i: SimpleNamespace, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """View n and its coverage, pixel by pixel: the definition in `lfgpu/contract`, written out."""
+    height, width = i.disparity.shape
+    du, dv = i.offsets[n].astype(float)
+    d, image = i.disparity.astype(float), i.image.astype(float)
+    given = np.empty((height, width, height, width))
+    for py, px in np.ndindex(height, width):
+        to_x = [tent_of_any(qx - (px - d[py, px] * du), i.softness) for qx in range(width)]
+        to_y = [tent_of_any(qy - (py - d[py, px] * dv), i.softness) for qy in range(height)]
+        given[py, px] = np.outer(to_y, to_x)
+    view, coverage = np.zeros(image.shape), given.sum((0, 1))
+    for qy, qx in np.ndindex(height, width):
+        reaching = [(py, px) for py, px in np.ndindex(height, width) if given[py, px, qy, qx] > 1e-20]
+        if not reaching:
+            continue
+        front = max(d[p] for p in reaching)
+        weights = [given[p][qy, qx] * math.exp(i.sharpness * (d[p] - front)) for p in reaching]
+        view[qy, qx] = sum(w * image[p] for w, p in zip(weights, reaching, strict=True)) / sum(weights)
+    return view, coverage
+
+
+@pytest.mark.parametrize("case", SMALL_OCCLUSIONS, ids=str)
+def test_splat_occluding_is_the_formula(case: OcclusionCase, rng: np.random.Generator) -> None:
+    i = occlusion_inputs(case, rng)
+    got = run(occlusion_checks.SPLAT, i)
+    n = len(i.offsets) - 1
+    view, coverage = mean_of_what_lands(i, n)
+    np.testing.assert_allclose(got["views"][n], view, rtol=0, atol=1e-9)  # 1 - Λ near 0 has 1e-16 of rounding
+    np.testing.assert_allclose(got["coverage"][n], coverage, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("case", SMALL_OCCLUSIONS, ids=str)
+def test_visible_is_what_comparing_every_two_pixels_says(case: OcclusionCase, rng: np.random.Generator) -> None:
+    i = occlusion_inputs(case, rng)
+    got, want = run(occlusion_checks.VISIBLE, i)["visible"], occlusion_checks.seen(i)
+    decided = np.ones(got.shape, np.bool_) if case.exact else ~occlusion_checks.undecided(i)
+    assert decided.mean() > 0.95
+    np.testing.assert_array_equal(got[decided], want[decided])
+
+
+def seen_of_a_slanted_plane(slope: float, offset: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the seen part of a plane of that slope, and the part that lands in the frame."""
+    x = np.mgrid[:5, :60][1].astype(float)
+    disparity, offsets, seen = slope * (x - 30) + 0.013, np.array([[offset, 0.0]]), np.empty((1, 5, 60))
+    REFERENCE.visible(disparity, offsets, tolerance=tolerance, visible_out=seen)
+    place = x - disparity * offset
+    return seen[0] != 0, (place >= 0) & (place <= 59)
+
+
+@pytest.mark.parametrize("slope", [-0.4, 0.2, 0.45])
+@pytest.mark.parametrize("offset", [-1.0, 1.0])
+def test_a_slanted_plane_hides_nothing_of_itself(slope: float, offset: float) -> None:
+    """As long as the tolerance is what `lfgpu/contract` says."""
+    tolerance = 1.001 * abs(slope) / abs(1 - slope * offset)
+    np.testing.assert_array_equal(*seen_of_a_slanted_plane(slope, offset, tolerance))
+
+
+def test_without_tolerance_a_slanted_plane_hides_parts_of_itself() -> None:
+    seen, there = seen_of_a_slanted_plane(0.45, 1.0, 0.0)
+    assert (there & ~seen).any()
+
+
+SMALL_VOLUMES = [case for case in VOLUME_CASES if math.prod(case.size) * case.count <= 1000]
+
+
+def run_case(operation: Operation, case: VolumeCase, rng: np.random.Generator) -> tuple:
+    inputs = volume_inputs(case, rng)
+    return inputs, compute(REFERENCE, "cpu", operation, inputs)
+
+
+@pytest.mark.parametrize("case", SMALL_VOLUMES, ids=str)
+def test_average_is_that_of_each_pixel_with_its_neighbors(case: VolumeCase, rng: np.random.Generator) -> None:
+    i, got = run_case(volume_checks.AVERAGE, case, rng)
+    steps = [tuple(step) for step in half_window(case.window)]
+    height, width = case.size
+    for y, x in np.ndindex(height, width):
+        weights, costs = [1.0], [i.volume[:, y, x].astype(np.float64)]
+        for k, (dy, dx) in enumerate(steps):
+            for qy, qx, wy, wx in ((y + dy, x + dx, y, x), (y - dy, x - dx, y - dy, x - dx)):
+                if 0 <= qy < height and 0 <= qx < width:
+                    weights.append(float(i.weights[k, wy, wx]))
+                    costs.append(i.volume[:, qy, qx].astype(np.float64))
+        want = sum(w * cost for w, cost in zip(weights, costs, strict=True)) / sum(weights)
+        np.testing.assert_allclose(got["average"][:, y, x], want, rtol=1e-12)
+
+
+def least_of_all_paths(i, steps: dict[str, float], pixels: list[tuple[int, int]]) -> np.ndarray:
+    """The least cost of going through `pixels` for each disparity of the last one: all ways are tried."""
+    count = len(i.volume)
+    least = np.full(count, np.inf)
+    for way in itertools.product(range(count), repeat=len(pixels)):
+        cost = sum(float(i.volume[way[k], y, x]) for k, (y, x) in enumerate(pixels))
+        for k in range(1, len(pixels)):
+            difference = np.abs(i.image[pixels[k]].astype(np.float64) - i.image[pixels[k - 1]]).mean()
+            likeness = math.exp(-difference / steps["contrast"])
+            scale = float(i.penalty_scale[pixels[k]])
+            one = scale * steps["small"] * max(likeness, 0.2)
+            more = scale * max(steps["large"] * likeness, 1.2 * steps["small"])
+            cost += (0.0, one, more)[min(2, abs(way[k] - way[k - 1]))]
+        least[way[-1]] = min(least[way[-1]], cost)
+    return least
+
+
+@pytest.mark.parametrize("size", [(4, 5), (1, 4), (5, 1)])
+@pytest.mark.parametrize("channels", [1, 3])
+def test_semi_global_finds_the_best_of_all_paths(
+    size: tuple[int, int], channels: int, rng: np.random.Generator
+) -> None:
+    case = VolumeCase("tiny", size=size, channels=channels, count=4, small=0.2, large=0.6, contrast=0.4)
+    i, got = run_case(volume_checks.SEMI_GLOBAL, case, rng)
+    height, width = size
+    for y, x in ((0, 0), (height - 1, width - 1), (height // 2, width // 2), (height - 1, 0)):
+        want = np.zeros(case.count)
+        for dy, dx in itertools.product((-1, 0, 1), repeat=2):
+            if (dy, dx) == (0, 0):
+                continue
+            pixels = [(y, x)]
+            while 0 <= pixels[0][0] - dy < height and 0 <= pixels[0][1] - dx < width:
+                pixels.insert(0, (pixels[0][0] - dy, pixels[0][1] - dx))
+            want += least_of_all_paths(i, i.step_costs, pixels)
+            if len(pixels) > 1:  # less what the best path to the pixel before costs
+                want -= least_of_all_paths(i, i.step_costs, pixels[:-1]).min()
+        np.testing.assert_allclose(got["sum"][:, y, x], want, rtol=1e-12)
+
+
+@pytest.mark.parametrize("case", SMALL_VOLUMES, ids=str)
+def test_lowest_is_the_minimum_of_the_parabola(case: VolumeCase, rng: np.random.Generator) -> None:
+    i, got = run_case(volume_checks.LOWEST, case, rng)
+    for name, volume in (("random", i.volume), ("alike", i.alike)):
+        for y, x in np.ndindex(*case.size):
+            costs = volume[:, y, x].astype(np.float64).tolist()
+            k = min(max(costs.index(min(costs)), 1), case.count - 2)
+            curve = np.polynomial.Polynomial(
+                np.linalg.solve(np.vander([-1, 0, 1], increasing=True), costs[k - 1 : k + 2])
+            )
+            t = 0.0
+            if curve.coef[2] > 0.5e-9:
+                t = min(max(float(curve.deriv().roots()[0]), -1.0), 1.0)
+            assert got[name][y, x] == pytest.approx(case.first + case.step * (k + t), abs=1e-9)
+
+
+@pytest.mark.parametrize("case", [case for case in REDUCED_CASES if math.prod(case.size) <= 200], ids=str)
+def test_reduced_volume_is_added_linear_between_the_middles_of_its_pixels(
+    case: VolumeCase, rng: np.random.Generator
+) -> None:
+    i, got = run_case(volume_checks.ADD_REDUCED, case, rng)
+    height, width = case.size
+    middles = [4 * np.arange(side // 4) + 1.5 for side in case.size]
+    for volume, before, reduced in zip(got["volume"], i.volume, i.reduced, strict=True):
+        wide = np.array([np.interp(np.arange(width), middles[1], row) for row in i.shares.astype(np.float64) * reduced])
+        whole = np.array([np.interp(np.arange(height), middles[0], column) for column in wide.T]).T
+        np.testing.assert_allclose(volume, before + i.weight * whole, rtol=0, atol=1e-12 * np.abs(i.volume).max())
+
+
+@pytest.mark.parametrize("case", SMALL_VOLUMES, ids=str)
+def test_edges_count_less_the_larger_the_steps_near_them(case: VolumeCase, rng: np.random.Generator) -> None:
+    i, got = run_case(volume_checks.EDGES, case, rng)
+    height, width = case.size
+    image = i.image.astype(np.float64)
+    for y, x in np.ndindex(height, width):
+        for name, reach in (("beside", 1), ("around", 3)):
+            near = [(v, u) for v, u in np.ndindex(height, width) if max(abs(v - y), abs(u - x)) <= reach]
+            pairs = [(p, q) for p, q in itertools.combinations(near, 2) if abs(p[0] - q[0]) + abs(p[1] - q[1]) == 1]
+            largest = max((np.abs(image[p] - image[q]).mean() for p, q in pairs), default=0.0)
+            assert got[name][y, x] == pytest.approx(1 / (1 + (largest / i.edge_contrast) ** 2), rel=1e-12)

@@ -1,14 +1,41 @@
-"""The checks of the operations on fields and numbers, and of memory."""
+"""The operations on fields and numbers, and memory: cases and checks."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from checks import Desk, Operation, Outputs, Values, largest_error, relative_to_terms, size
+from checks import Case, Desk, Operation, Outputs, Values, float32, largest_error, relative_to_terms, size
 
 from lfgpu.contract import KernelSet
 from lfgpu.errors import BackendError
+
+
+@dataclass(frozen=True)
+class VectorCase(Case):
+    """Fields of one shape."""
+
+    shape: tuple[int, ...]
+    tolerance: float = 1e-6
+
+
+VECTOR_CASES = (
+    VectorCase("map", (11, 14)),
+    VectorCase("one pixel", (1, 1)),
+    VectorCase("line", (1, 1000)),
+    VectorCase("stack", (3, 7, 5)),
+    VectorCase("work for several threads", (301, 257)),
+)
+
+
+def vector_inputs(case: VectorCase, rng: np.random.Generator) -> SimpleNamespace:
+    """Fields, of which `ties` and `holes` have many an element that is 0, and two numbers."""
+    x, y, condition = float32(rng.normal(size=(3, *case.shape)))
+    alpha, beta = (float(number) for number in float32(rng.normal(size=2)))
+    ties = np.where(rng.random(case.shape) < 0.3, np.float32(0), condition)
+    holes = np.where(rng.random(case.shape) < 0.3, np.float32(0), np.float32(0.1) * np.sign(y) + y)
+    return SimpleNamespace(x=x, y=y, ties=ties, holes=holes, alpha=alpha, beta=beta, low=-0.5, high=0.75)
 
 
 def dot(desk: Desk, i: SimpleNamespace) -> Outputs:

@@ -3,20 +3,14 @@
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
-import alignment_cases
 import alignment_checks
-import nlm_cases
 import nlm_checks
 import numpy as np
-import occlusion_cases
 import occlusion_checks
 import programs
 import smoothing_checks
-import solver_cases
 import solver_checks
-import splat_cases
 import splat_checks
-import sweep_cases
 import sweep_checks
 import vector_checks
 
@@ -43,29 +37,29 @@ def _random(rng: np.random.Generator) -> tuple[np.random.Generator]:
     return (rng,)
 
 
-FAR = occlusion_cases.OcclusionCase("far", size=(23, 26), disparities=(-50.0, 50.0), exact=False, sharpness=1000.0)
-MASKED_SWEEPS = [case for case in sweep_cases.SWEEP_CASES if case.masked][:4]
+FAR = occlusion_checks.OcclusionCase("far", size=(23, 26), disparities=(-50.0, 50.0), exact=False, sharpness=1000.0)
+MASKED_SWEEPS = [case for case in sweep_checks.SWEEP_CASES if case.masked][:4]
 CHECKS = (
     *_of(
         "splat",
-        splat_cases.splat_inputs,
-        [case for case in splat_cases.SPLAT_CASES if case.masked],
+        splat_checks.splat_inputs,
+        [case for case in splat_checks.SPLAT_CASES if case.masked],
         splat_checks.check_masked_pixels_do_not_count,
         splat_checks.check_masked_view_is_a_missing_view,
         splat_checks.check_nothing_valid_is_nothing_at_all,
     ),
-    *_of("nlm", nlm_cases.nlm_inputs, nlm_cases.NLM_CASES, nlm_checks.check_nlm_symmetric),
-    *_of("occlusion", occlusion_cases.occlusion_inputs, [FAR], occlusion_checks.check_safe_whatever_the_range),
+    *_of("nlm", nlm_checks.nlm_inputs, nlm_checks.NLM_CASES, nlm_checks.check_nlm_symmetric),
+    *_of("occlusion", occlusion_checks.occlusion_inputs, [FAR], occlusion_checks.check_safe_whatever_the_range),
     *_of(
         "occlusion",
-        occlusion_cases.occlusion_inputs,
-        [occlusion_cases.OcclusionCase("any")],
+        occlusion_checks.occlusion_inputs,
+        [occlusion_checks.OcclusionCase("any")],
         occlusion_checks.check_front_hides_back,
     ),
     *_of(
         "alignment",
-        alignment_cases.alignment_inputs,
-        alignment_cases.ALIGNMENT_CASES,
+        alignment_checks.alignment_inputs,
+        alignment_checks.ALIGNMENT_CASES,
         alignment_checks.check_what_no_view_sees_has_no_slope,
     ),
     *(
@@ -76,15 +70,15 @@ CHECKS = (
     ),
     *_of(
         "plane_sweep",
-        sweep_cases.sweep_inputs,
+        sweep_checks.sweep_inputs,
         MASKED_SWEEPS,
         sweep_checks.check_masked_view_is_a_missing_view,
         sweep_checks.check_nothing_valid_costs_the_most,
     ),
     *_of(
         "plane_sweep",
-        sweep_cases.sweep_inputs,
-        [sweep_cases.SweepCase("any")],
+        sweep_checks.sweep_inputs,
+        [sweep_checks.SweepCase("any")],
         sweep_checks.check_a_side_that_sees_is_enough,
     ),
     Check("smoothing", smoothing_checks.check_constant_stays),
@@ -99,7 +93,7 @@ CHECKS = (
             "lbfgs",
             solver_checks.check_lbfgs_converges,
             "x".join(map(str, size)),
-            lambda rng, s=size: (solver_cases.quadratic(s[0] * s[1], rng), rng.normal(size=s)),
+            lambda rng, s=size: (solver_checks.quadratic(s[0] * s[1], rng), rng.normal(size=s)),
         )
         for size in ((6, 7), (1, 12))
     ),

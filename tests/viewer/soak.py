@@ -55,7 +55,6 @@ def soak(browser: Any, seconds: float, reopenings: int) -> list[Sample]:
     """Open and close tabs, evenly over some seconds, while frames of a stream come; a sample after each."""
     lf = scenes.make("boxes", grid=(5, 5), size=(40, 48))
     truth = lf.reference_truth()
-    assert truth is not None
     found = []
     with Viewer(lf, DisparityMap(truth.disparity, np.full(lf.size, 0.8, np.float32)), port=0) as viewer:
         begin = monotonic()

@@ -20,7 +20,6 @@ from tests.viewer.page import SIZE, Page
 
 def test_a_stream_is_followed_without_scores_of_another_frame(browser: Any, lf: LightField, files: Path) -> None:
     switched: list[bool] = []
-    assert lf.truth is not None
     with Viewer.of([files / "boxes"], port=0) as viewer:
         page = Page(browser, viewer)
         page.shown("map", "disparity")

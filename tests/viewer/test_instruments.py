@@ -19,7 +19,6 @@ from tests.viewer.page import GREY, SIZE, Page, marked, viridis
 def test_costs_are_least_at_the_truth_and_hidden_views_are_told(lf: LightField) -> None:
     """Every value beside one pixel by hand; and views in which a near square stands before a far wall."""
     truth = lf.reference_truth()
-    assert truth is not None
     found = probe.costs(Contents(lf, {"a": Entry(DisparityMap(truth.disparity))}), "a", "final", 30, 20)
     tried, mean = np.array(found["disparities"]), np.array(found["mean"])
     assert abs(tried[np.argmin(mean)] - truth.disparity[20, 30]) < 0.15
@@ -54,7 +53,6 @@ def test_costs_are_least_at_the_truth_and_hidden_views_are_told(lf: LightField) 
 def test_a_line_is_measured(page: Page, viewer: Viewer, lf: LightField) -> None:
     """The profile, the distance in space and the box are those of the map; the line is drawn where it is measured."""
     disparity, geometry = viewer.contents.entries["fast"].disparity, lf.geometry
-    assert geometry is not None
     page.click("map", 10, 30)
     until(lambda: marked(page)() == ["10,", "30"] or "10, 30" in page.readout(), "the pixel is chosen", page.tab)
     page.tab.keyboard.press("l")
@@ -146,7 +144,6 @@ def test_dragging_an_epi_tests_a_disparity(page: Page, viewer: Viewer, lf: Light
 
 def test_a_difference_is_a_map_with_its_distribution_and_shares(browser: Any, lf: LightField) -> None:
     truth = lf.truth
-    assert truth is not None
     by = np.where(np.arange(SIZE[1]) < 12, 0.5, 0.02).astype(np.float32)
     with Viewer(lf, DisparityMap(truth.disparity + by), port=0) as viewer:
         page = Page(browser, viewer)
@@ -169,7 +166,6 @@ def test_a_difference_is_a_map_with_its_distribution_and_shares(browser: Any, lf
 
 def test_four_maps_stand_beside_each_other_with_one_pointer(browser: Any, lf: LightField) -> None:
     truth = lf.truth
-    assert truth is not None
     with Viewer(lf, port=0) as viewer:
         for name in "abc":
             viewer.add(DisparityMap(truth.disparity), name=name)
@@ -197,7 +193,6 @@ def test_four_maps_stand_beside_each_other_with_one_pointer(browser: Any, lf: Li
 
 def test_a_wipe_does_not_begin_on_the_cross_hairs(browser: Any, lf: LightField) -> None:
     truth = lf.truth
-    assert truth is not None
     with Viewer(lf, DisparityMap(truth.disparity + 0.5), port=0) as viewer:
         page = Page(browser, viewer)
         page.shown("map", "disparity")

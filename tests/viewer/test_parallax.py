@@ -52,7 +52,6 @@ def seen(page: Page) -> np.ndarray:
 def test_it_sees_what_a_camera_there_would_see(browser: Any) -> None:
     whole, few = sparse()
     truth = whole.reference_truth()
-    assert truth is not None
     with Viewer(few, DisparityMap(truth.disparity), port=0) as viewer:
         page = Page(browser, viewer, width=1600, height=1000)
         page.shown("view", "view")

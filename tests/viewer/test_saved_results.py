@@ -39,7 +39,6 @@ def test_it_is_estimated_again(page: Page, viewer: Viewer) -> None:
     assert page.tab.input_value("#result") == "three steps"
     assert page.tab.input_value("#other") == "fast"
     result = viewer.contents.entries["three steps"].result
-    assert result is not None
     assert result.config.alignment.iterations == 3  # type: ignore[attr-defined]
 
 

@@ -1,0 +1,209 @@
+"""Parts of matching: alignment, outlines, guessed surfaces, ranges wider than the scene, numbers with their reasons."""
+
+import json
+from collections.abc import Iterator
+from dataclasses import Field, fields, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.ablation import VARIANTS
+from lfgpu import LightField, estimate_depth, scenes
+from lfgpu._backends import load, open_device
+from lfgpu.config import as_dict, restored
+from lfgpu.contract import Device, Disparities
+from lfgpu.methods import METHODS, PRESETS, preset
+from lfgpu.methods.arena import Arena
+from lfgpu.methods.matching import tuning
+from lfgpu.methods.matching.completion import Boundaries
+from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.guesses import GuessedSurfaces
+from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.methods.measured import Measured
+
+STEP = MatchingConfig().sweep.step / 2  # pixels per view step between disparities, in a grid of 5 x 5 views
+
+
+def test_what_the_alignment_moved_too_far_is_put_back() -> None:
+    """With a reach of 0.4 px: pixels that moved less stay where they are, all others return."""
+    lf, kernels = scenes.make("boxes", grid=(5, 5), size=(48, 48)), load("warp")
+    config = MatchingConfig().with_tuning({"alignment.reach": 0.4 / STEP})
+    matching = MatchingPlan(lf.layout, Measured((-1.0, 1.0), 0.004, None), config, Device(kernels, "cpu"))
+    moved = np.linspace(-0.8, 0.8, 48 * 48, dtype=np.float32).reshape(48, 48)
+    map_ = kernels.field(0.1 + moved, "cpu")
+    matching._alignment.put_back(kernels.field(np.full((48, 48), 0.1), "cpu"), map_)
+    want = np.where(np.abs(moved) < 0.4, 0.1 + moved, 0.1)
+    np.testing.assert_allclose(kernels.numpy(map_), want, atol=1e-6)
+
+
+def test_a_pixel_that_the_alignment_may_not_move_stays_near_where_it_was_matched() -> None:
+    """With a reach of next to nothing, all that is left of the alignment is the plane through similar pixels."""
+    lf = scenes.make("boxes", grid=(5, 5), size=(96, 96))
+    far, near = (
+        estimate_depth(
+            lf,
+            disparity_range=(-1.6, 1.6),
+            config=MatchingConfig().with_tuning({"alignment.reach": reach}),
+            device="cpu",
+            check_cameras=False,
+        ).stages
+        for reach in (1000.0, 0.1)
+    )
+    np.testing.assert_array_equal(far["resweep"], near["resweep"])
+    moved = [np.abs(stages["align"] - stages["resweep"]).mean() for stages in (far, near)]
+    assert moved[1] < 0.8 * moved[0]
+
+
+@pytest.mark.parametrize(("share", "goes"), [(0.2, True), (0.4, False)])
+def test_the_second_pixel_of_a_blurred_outline_goes_only_if_that_is_clear(share: float, goes: bool) -> None:
+    """A black wall behind a white one that was matched two pixels too wide: column 3 shows nothing of it."""
+    light = np.zeros((9, 10, 1), np.float32)
+    light[:, 5:], light[:, 4] = 1.0, share
+    matched = np.where(np.arange(10) >= 3, 1.0, -1.0) * np.ones((9, 1))
+    device = open_device("warp", "cpu")
+    out = device.zeros((9, 10))
+    boundaries = Boundaries(Arena(device), MatchingConfig(), (9, 10), step=0.5)
+    boundaries.run(device.image(np.sqrt(light)), device.field(matched), out)
+    want = np.where(np.arange(10) >= (5 if goes else 4), 1.0, -1.0) * np.ones((9, 1))
+    np.testing.assert_allclose(device.kernels.numpy(out), want, atol=1e-6)
+
+
+COUNT, STEEP, SIDE = 41, 0.1, 48
+FAR, NEAR = -2.0, 2.0
+
+
+def hiding(surface: np.ndarray, costs: np.ndarray) -> np.ndarray:
+    """What of a map hides anything, if its costs [l, y, x] and their paths say the same."""
+    kernels = load("warp")
+    ones = kernels.field(np.ones(surface.shape), "cpu")
+    disparities = Disparities(FAR, STEEP, COUNT)
+    guesses = GuessedSurfaces(
+        Arena(Device(kernels, "cpu")), surface.shape, share=0.3, disparities=disparities, tolerance=0.3, ones=ones
+    )
+    out, volume = kernels.zeros(surface.shape, "cpu"), kernels.field(costs.astype(np.float32), "cpu")
+    evidence, *unused = (kernels.zeros(surface.shape, "cpu") for _ in range(3))
+    outputs = {"evidence_out": evidence, "conflict_out": unused[0], "cost_out": unused[1]}
+    kernels.evidence(volume, volume, step=STEEP, unit=0.01, **outputs)
+    guesses.run(evidence, kernels.field(surface.astype(np.float32), "cpu"), out)
+    return kernels.numpy(out)
+
+
+def alike() -> np.ndarray:
+    """Costs that say nothing."""
+    return np.full((COUNT, SIDE, SIDE), 0.02)
+
+
+def at_random(rng: np.random.Generator) -> np.ndarray:
+    return np.where(rng.uniform(size=(SIDE, SIDE)) < 0.5, NEAR, FAR)
+
+
+def test_of_a_map_at_random_the_farther_half_is_left(rng: np.random.Generator) -> None:
+    surface = at_random(rng)
+    out = hiding(surface, alike())
+    assert out.max() < FAR + 0.1 * (NEAR - FAR)
+    np.testing.assert_array_equal(out[surface == FAR], np.float32(FAR))
+
+
+def test_what_costs_tell_apart_hides_as_it_is(rng: np.random.Generator) -> None:
+    surface, costs = at_random(rng), alike() + 1.0
+    for y, x in np.ndindex(surface.shape):
+        costs[round((surface[y, x] - FAR) / STEEP), y, x] = 0.0
+    np.testing.assert_array_equal(hiding(surface, costs), surface.astype(np.float32))
+
+
+@pytest.mark.parametrize("shape", ["plane", "outline", "slanted outline", "corner"])
+def test_an_even_map_hides_as_it_is(shape: str) -> None:
+    """Even if costs say nothing: things without texture hide what is behind them, too."""
+    y, x = np.mgrid[:SIDE, :SIDE]
+    nearer = {"outline": x > 20, "slanted outline": x + 2 * y > 60, "corner": (x > 20) & (y > 30)}
+    surface = 0.01 * x if shape == "plane" else np.where(nearer[shape], NEAR, FAR)
+    np.testing.assert_array_equal(hiding(surface, alike()), surface.astype(np.float32))
+
+
+def square_before_a_wall(noise: float, rng: np.random.Generator) -> LightField:
+    """The wall shows nothing but noise; the square has texture, and is 4 pixels per view step nearer."""
+    side, texture = 160, rng.uniform(0.3, 1.0, (160, 160))
+    y, x = np.mgrid[:side, :side]
+    views, positions = [], [(u, v) for v in range(-4, 5) for u in range(-4, 5)]
+    for u, v in positions:
+        column, row = x + round(NEAR) * u, y + round(NEAR) * v
+        inside = (np.abs(column - side // 2) < 30) & (np.abs(row - side // 2) < 30)
+        seen = np.where(inside, texture[row % side, column % side], 0.15)
+        views.append(np.clip(seen + noise * rng.standard_normal(seen.shape), 0, 1))
+    return LightField(np.asarray(views, np.float32), np.asarray(positions, np.float64))
+
+
+def test_a_wall_of_noise_comes_less_near_in_further_sweeps(rng: np.random.Generator) -> None:
+    lf = square_before_a_wall(0.03, rng)
+
+    def near(ambiguity: float) -> float:
+        config = preset("accurate").with_tuning({"sweep.ambiguity": ambiguity})
+        result = estimate_depth(lf, disparity_range=(-3, 3), config=config, check_cameras=False)
+        return float((result.stages["resweep"] > 1).mean())
+
+    assert near(preset("accurate").tuning.sweep.ambiguity) < near(1.0) - 0.05
+
+
+def test_every_difference_may_be_a_depth_edge() -> None:
+    """A tolerance of 0 is in its range."""
+    lf = scenes.make("boxes", grid=(5, 5), size=(48, 48))
+    config = preset("accurate").with_tuning({"sweep.tolerance": 0.0})
+    result = estimate_depth(lf, disparity_range=(-2, 2), config=config, check_cameras=False)
+    assert np.isfinite(result.disparity).all()
+
+
+@pytest.mark.parametrize(
+    ("config", "name"),
+    [
+        ("fast", "boxes"),
+        ("fast", "planes"),
+        ("fast", "textureless"),
+        ("accurate", "boxes"),
+        ("accurate", "planes"),
+        ("accurate", "textureless"),
+    ],
+)
+def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(config: str, name: str) -> None:
+    lf = scenes.make(name, grid=(5, 5), size=(96, 96))
+    low, high = lf.truth.disparity.min() - 0.1, lf.truth.disparity.max() + 0.1
+    narrow, wide = (
+        estimate_depth(
+            lf, disparity_range=(low - more, high + more), config=config, device="cpu", check_cameras=False
+        ).disparity
+        for more in (0.0, 0.07)
+    )
+    assert (np.abs(wide - narrow) > 0.02).mean() < 0.002
+
+
+ABLATION = Path(__file__).parents[1] / "benchmarks" / "results" / "ablation.json"
+
+
+def numbers() -> Iterator[tuple[str, Field[Any]]]:
+    for section in fields(tuning.MatchingTuning):
+        if is_dataclass(section.default):
+            yield from ((f"{section.name}.{number.name}", number) for number in fields(section.default))
+
+
+@pytest.mark.parametrize(("name", "number"), list(numbers()), ids=lambda value: value if isinstance(value, str) else "")
+def test_every_number_says_why_and_names_a_row_that_there_is(name: str, number: Field[Any]) -> None:
+    meta = number.metadata
+    assert len(meta["reason"].split()) >= 6
+    assert meta["reason"].endswith((".", "counts as guessed."))
+    assert isinstance(meta["unit"], str)
+    if meta["ablation"]:
+        measured = {record["name"] for record in json.loads(ABLATION.read_text())["records"]}
+        (variant,) = (variant for variant in VARIANTS if variant.name == meta["ablation"])
+        assert variant.name in measured
+        assert name in variant.values, "the variant changes this number"
+
+
+def test_a_changed_number_is_for_experiments_only() -> None:
+    """Files name the tuning, and hold none of its numbers."""
+    changed = PRESETS["fast"].with_tuning({"alignment.robust": 0.02, "sweep.step": 0.3})  # type: ignore[attr-defined]
+    assert isinstance(changed, MatchingConfig)
+    assert (changed.tuning.name, changed.tuning.alignment.robust, changed.sweep.step) == ("", 0.02, 0.3)
+    kept = restored(as_dict(changed), METHODS["matching"].presets)
+    assert kept == PRESETS["fast"].with_values({"sweep.step": 0.3})
+    assert as_dict(PRESETS["fast"])["tuning"] == "fast"
