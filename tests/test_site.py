@@ -12,6 +12,8 @@ from PIL import Image
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu.methods.matching.method import Matching
+from lfgpu.methods.synthesis.method import Synthesis
 
 DOCS = Path(__file__).parents[1] / "docs"
 
@@ -48,6 +50,13 @@ def test_benchmarks_come_after_guides_in_searches(tmp_path: Path) -> None:
     done = subprocess.run([node, "-e", script], capture_output=True, text=True, check=True)
     scores = json.loads(done.stdout)
     assert max(scores[:2]) < min(scores[2:]) - 30
+
+
+@pytest.mark.parametrize("method", [Matching, Synthesis])
+def test_stages_have_the_names_of_the_code(method: type[Matching] | type[Synthesis]) -> None:
+    page = " ".join((DOCS / "how" / f"{method.__name__.lower()}.md").read_text().split())
+    names = [f"`{stage.name}`" + ("" if stage.name == stage.label else f" ({stage.label})") for stage in method.STAGES]
+    assert f"after each stage: {', '.join(names[:-1])} and {names[-1]}." in page
 
 
 def test_films_are_small_and_the_script_draws_one(monkeypatch: pytest.MonkeyPatch) -> None:
