@@ -1,5 +1,6 @@
 """The package: its files, its requirements, the cost of importing it; figures in pages are those of result files."""
 
+import importlib
 import importlib.metadata
 import json
 import pkgutil
@@ -216,6 +217,12 @@ def test_public_names_are_listed_and_there(tmp_path: Path) -> None:
 
     assert "DepthPipeline" in lfgpu.__all__
     assert lfgpu.DepthPipeline is DepthPipeline
+
+
+@pytest.mark.parametrize("name", ["calibration", "contract", "io", "scenes", "viewer"])
+def test_type_checkers_of_users_see_what_a_package_offers(name: str) -> None:
+    package = importlib.import_module(f"lfgpu.{name}")
+    assert all(hasattr(package, offered) for offered in package.__all__)
 
 
 def test_kernels_are_not_imported_by_another_name() -> None:

@@ -23,3 +23,38 @@ from lfgpu.io.map_formats import (
 )
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
+
+__all__ = [
+    "DEPTH_FILE",
+    "DISPARITY_FILE",
+    "FORMATS",
+    "MAP_FORMATS",
+    "REPORT_FILE",
+    "RESULT_FILE",
+    "VIEWS_FILE",
+    "Format",
+    "MapFormat",
+    "atomic_folder",
+    "atomic_write",
+    "check_writable",
+    "holds_map",
+    "holds_result",
+    "holds_views",
+    "inside",
+    "load",
+    "one_map",
+    "read",
+    "read_map",
+    "read_mask",
+    "read_result",
+    "read_views",
+    "recognise",
+    "result_in",
+    "save",
+    "writable_format",
+    "write_description",
+    "write_hci",
+    "write_pfm",
+    "write_result",
+    "write_views",
+]
