@@ -108,10 +108,9 @@ def z_buffer(shape: Sequence[int], offsets: DeviceArray, *, reach: int) -> ZBuff
     fronts, kernel = empty((batch * room,), scalar=ti.i32), _nearest_kernel(on_cpu())
 
     def find(disparity: DeviceArray, nearest_out: DeviceArray) -> None:
-        fields = disparity.values, offsets.values
         for first in range(0, count, batch):
             some = first, min(batch, count - first), reach, height, width
-            run(kernel, *fields, *some, fronts.values, nearest_out.values)
+            run(kernel, disparity, offsets, *some, fronts, nearest_out)
 
     return find
 
@@ -377,14 +376,14 @@ class _Alignment:
         self._image = image
         # What is near a step in brightness sees it in its gradients.
         weigh_edges(image, *self._weighing, self._weights)
-        run(self._kernels.pack, recorded.values, *optional(valid), height, width, self._packed.values)
+        run(self._kernels.pack, recorded, *optional(valid), height, width, self._packed)
 
     def __call__(
         self, disparity: DeviceArray, nearest: DeviceArray, curvature_out: DeviceArray, slope_out: DeviceArray
     ) -> None:
-        views = self._image.values, self._weights.values, self._packed.values, self._offsets.values
-        maps = disparity.values, nearest.values, *disparity.shape
-        run(self._kernels.align, *views, *self._compared, *maps, curvature_out.values, slope_out.values)
+        views = self._image, self._weights, self._packed, self._offsets
+        maps = disparity, nearest, *disparity.shape
+        run(self._kernels.align, *views, *self._compared, *maps, curvature_out, slope_out)
 
 
 alignment = _Alignment

@@ -123,4 +123,4 @@ def refine_boundaries(
     disparity_out: DeviceArray,
 ) -> None:
     kernel = _unmix_kernel(image.channels)
-    run(kernel, image.values, disparity.values, *disparity.shape, step, contrast, share, disparity_out.values)
+    run(kernel, image, disparity, *disparity.shape, step, contrast, share, disparity_out)

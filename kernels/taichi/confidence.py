@@ -119,16 +119,15 @@ def evidence(
     evidence_out: DeviceArray,
     cost_out: DeviceArray,
 ) -> None:
-    outputs = conflict_out.values, evidence_out.values, cost_out.values
-    run(_evidence_kernel, volume.values, path_costs.values, step, unit, *outputs)
+    run(_evidence_kernel, volume, path_costs, step, unit, conflict_out, evidence_out, cost_out)
 
 
 def line_mean(values: DeviceArray, *, axis: int, reach: int, means_out: DeviceArray) -> None:
-    run(_line_mean_kernel, values.values, *values.shape, 1 - axis, axis, reach, means_out.values)
+    run(_line_mean_kernel, values, *values.shape, 1 - axis, axis, reach, means_out)
 
 
 def unevenness(disparity: DeviceArray, *, bend_out: DeviceArray, relief_out: DeviceArray) -> None:
-    run(_unevenness_kernel, disparity.values, *disparity.shape, bend_out.values, relief_out.values)
+    run(_unevenness_kernel, disparity, *disparity.shape, bend_out, relief_out)
 
 
 def judge(
@@ -141,4 +140,4 @@ def judge(
     variance_out: DeviceArray,
 ) -> None:
     numbers = span, ti.Vector(list(share)), ti.Vector(list(spread))
-    run(_judge_kernel, *(each.values for each in maps), *numbers, confidence_out.values, variance_out.values)
+    run(_judge_kernel, *maps, *numbers, confidence_out, variance_out)

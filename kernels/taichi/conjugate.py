@@ -75,5 +75,5 @@ def _shares() -> DeviceArray:
 def conjugate_step(
     p: DeviceArray, q: DeviceArray, preconditioner: DeviceArray, rz: DeviceArray, x: DeviceArray, r: DeviceArray
 ) -> None:
-    fields = p.values, q.values, preconditioner.values, rz.values, x.values, r.values
-    run(_kernel(), *fields, parts().values, _shares().values)
+    fields = p, q, preconditioner, rz, x, r
+    run(_kernel(), *fields, parts(), _shares())

@@ -97,9 +97,8 @@ class _Convolution:
             volume.scalar, volume_out.scalar, added is not None, self._rectified, math.gcd(outputs, _MOST)
         )
         more = volume if added is None else added
-        arrays = volume.values, self._weights.values, self._bias.values, more.values
         sizes = *volume.shape, inputs, outputs, *window, *self._strides, *more.shape
-        run(convolve, *arrays, *sizes, at, volume_out.values)
+        run(convolve, volume, self._weights, self._bias, more, *sizes, at, volume_out)
 
 
 convolution = _Convolution

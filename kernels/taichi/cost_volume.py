@@ -123,7 +123,7 @@ def _add_reduced_kernel(
 
 def add_reduced(reduced: DeviceArray, shares: DeviceArray, *, weight: float, volume_inout: DeviceArray) -> None:
     sizes = *shares.shape, *volume_inout.shape[1:]
-    run(_add_reduced_kernel, reduced.values, shares.values, weight, *sizes, volume_inout.values)
+    run(_add_reduced_kernel, reduced, shares, weight, *sizes, volume_inout)
 
 
 @ti.kernel
@@ -162,23 +162,14 @@ def _lowest_kernel(volume: flat(), first: float, step: float, disparity_out: fla
 def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, average_out: DeviceArray) -> None:
     _, height, width = volume.shape
     totals = scratch(average_out, (height, width))
-    run(_total_kernel, weights.values, height, width, window // 2, totals.values)
+    run(_total_kernel, weights, height, width, window // 2, totals)
     kernel = _rows_kernel if on_cpu() else _pixels_kernel
-    run(
-        kernel,
-        weights.values,
-        volume.values,
-        totals.values,
-        height,
-        width,
-        window // 2,
-        average_out.values,
-    )
+    run(kernel, weights, volume, totals, height, width, window // 2, average_out)
 
 
 def least_costs(volume: DeviceArray, *, least_out: DeviceArray) -> None:
-    run(_least_kernel, volume.values, least_out.values)
+    run(_least_kernel, volume, least_out)
 
 
 def winner_takes_all(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:
-    run(_lowest_kernel, volume.values, first, step, disparity_out.values)
+    run(_lowest_kernel, volume, first, step, disparity_out)

@@ -48,7 +48,7 @@ def _kernel(channels: int) -> Any:
 
 def weigh_edges(image: DeviceArray, weight: float, contrast: float, reach: int, weights_out: DeviceArray) -> None:
     """`weight` times `edge_weights`."""
-    run(_kernel(image.channels), image.values, weight, contrast, reach, *weights_out.shape, weights_out.values)
+    run(_kernel(image.channels), image, weight, contrast, reach, *weights_out.shape, weights_out)
 
 
 def edge_weights(image: DeviceArray, *, contrast: float, reach: int, weights_out: DeviceArray) -> None:

@@ -347,26 +347,23 @@ class _Lbfgs:
     def begin(
         self, x: DeviceArray, gradient: DeviceArray, value: DeviceArray, curvature: DeviceArray | None = None
     ) -> None:
-        run(self._search.begin, value.values, self._state.values, self._trace.values, self.go_on.values)
+        run(self._search.begin, value, self._state, self._trace, self.go_on)
         if curvature is None:
-            run(self._rows.ones, self._root.values)
+            run(self._rows.ones, self._root)
         else:
-            run(self._rows.root, curvature.values, self._root.values)
-        at = x.values, gradient.values, self._root.values, *self._bounds
-        run(self._rows.project, *at, self._slots, self._stack.values)
+            run(self._rows.root, curvature, self._root)
+        run(self._rows.project, x, gradient, self._root, *self._bounds, self._slots, self._stack)
         self._turn(x, beginning=True)
 
     def propose(self, x: DeviceArray, trial_out: DeviceArray) -> None:
-        line = x.values, self._direction.values, *self._bounds
-        run(self._search.propose, self._state.values, *line, trial_out.values)
+        run(self._search.propose, self._state, x, self._direction, *self._bounds, trial_out)
 
     def judge(self, value: DeviceArray, trial_value: DeviceArray) -> None:
-        kept = self._state.values, value.values, self._trace.values, self.go_on.values
-        run(self._search.judge, trial_value.values, *self._flatness, *kept)
+        run(self._search.judge, trial_value, *self._flatness, self._state, value, self._trace, self.go_on)
 
     def learn(self, x: DeviceArray, gradient: DeviceArray, trial: DeviceArray, trial_gradient: DeviceArray) -> None:
-        new = trial.values, trial_gradient.values, self._root.values, *self._bounds, self._slots
-        run(self._rows.advance, self._state.values, *new, self._stack.values, x.values, gradient.values)
+        new = trial, trial_gradient, self._root, *self._bounds, self._slots
+        run(self._rows.advance, self._state, *new, self._stack, x, gradient)
         self._turn(x, beginning=False)
 
     def report(self) -> tuple[list[float], int, bool]:
@@ -376,13 +373,12 @@ class _Lbfgs:
 
     def _turn(self, x: DeviceArray, *, beginning: bool) -> None:
         """Compute the next direction at x."""
-        state, stack = self._state.values, self._stack.values
-        run(self._rows.products, state, stack, self._slots, self._parts.values)
+        run(self._rows.products, self._state, self._stack, self._slots, self._parts)
         add_up(self._parts, self._totals)
-        kept = self._products.values, self._alpha.values, self._coefficients.values, self.go_on.values
-        run(_recursion_kernel(), self._totals.values, *self._scale, self._slots, int(beginning), state, *kept)
-        at = x.values, self._root.values, *self._bounds
-        run(self._rows.combine, state, stack, self._coefficients.values, *at, self._direction.values)
+        kept = self._products, self._alpha, self._coefficients, self.go_on
+        run(_recursion_kernel(), self._totals, *self._scale, self._slots, int(beginning), self._state, *kept)
+        at = x, self._root, *self._bounds
+        run(self._rows.combine, self._state, self._stack, self._coefficients, *at, self._direction)
 
 
 lbfgs = _Lbfgs

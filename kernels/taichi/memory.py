@@ -1,7 +1,7 @@
 """Arrays of the Taichi backend: all values in one row, since kernels spend less on indices that they work out alone."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import prod
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -13,30 +13,12 @@ from taichi.lang.util import to_numpy_type
 
 from lfgpu.errors import BackendError
 
+from .runtime import DeviceArray as DeviceArray
 from .runtime import alone, double, most_bytes, once, run, start
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels
 _MOST = 2**31 - 1  # Taichi's indices have 32 bits
-
-
-@dataclass(frozen=True, eq=False)
-class DeviceArray:
-    """A field of scalars, or an image of pixels with `channels` values each: its elements in row order.
-
-    Those of images with more channels than colours are scalars, too: Taichi unrolls loops over vectors. One number is
-    a field of one float64.
-    """
-
-    values: ti.Ndarray
-    shape: tuple[int, ...]
-    channels: int | None = None
-    scalar: Any = ti.f32
-
-    @property
-    def size(self) -> int:
-        """The number of scalars or pixels."""
-        return prod(self.shape)
 
 
 def flat(scalar: Any = ti.f32, channels: int | None = None) -> Any:
@@ -102,9 +84,9 @@ def _nothing() -> DeviceArray:
     return _filled(empty((1,)), np.zeros(1, np.float32))
 
 
-def optional(array: DeviceArray | None) -> tuple[ti.Ndarray, bool]:
+def optional(array: DeviceArray | None) -> tuple[DeviceArray, bool]:
     """Return the arguments of a kernel for an optional field: an array in any case, and whether it counts."""
-    return (_nothing().values, False) if array is None else (array.values, True)
+    return (_nothing(), False) if array is None else (array, True)
 
 
 def field(values: NDArray[Any], device: str) -> DeviceArray:
@@ -145,7 +127,7 @@ def upload(values: NDArray[Any], array_out: DeviceArray, *, chosen: Sequence[int
     for some in np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1):  # those that lie together
         part = np.ascontiguousarray(given[some[0] : some[-1] + 1], to_numpy_type(array_out.scalar))
         pixels = part.reshape(-1, array_out.channels)
-        run(_copy_kernel(array_out.channels, array_out.scalar), pixels, first, array_out.values)
+        run(_copy_kernel(array_out.channels, array_out.scalar), pixels, first, array_out)
         first += len(pixels)
 
 

@@ -66,9 +66,21 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 distance = (features[p] - features[p + step[1] * width + step[0]]).norm_sqr()
             distances_out[i] = distance
 
+    return SimpleNamespace(features=features_kernel, distance=distance_kernel)
+
+
+@once
+def _weight_kernel(channels: int | None) -> Any:
+    """Return what sums squared distances over the pixels of patches that both have.
+
+    With `channels` it computes them from an image, whose gradients are the differences between the patch pixels and the
+    middle of the patch; otherwise they are given for each neighbour.
+    """
+    given = channels is None
+
     @ti.kernel
-    def patch_weight_kernel(
-        image: flat(channels=channels),
+    def weight_kernel(
+        values: flat(channels=channels),
         height: int,
         width: int,
         radius: int,
@@ -79,7 +91,7 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
         is_mean: int,
         weights_out: flat(),
     ):
-        """Weights whose gradients are the differences between the patch pixels and the middle of the patch."""
+        """exp(-distance), the mean or the sum over the patch; at least `floor`."""
         size = height * width
         for i in range(weights_out.shape[0]):
             k = i // size
@@ -94,53 +106,22 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 top = ti.max(y - patch_radius, 0)
                 bottom = ti.min(y + patch_radius, height - 1 - step[1])
                 across = step[1] * width + step[0]
-                middle = image[p] - image[p + across]
                 total = 0.0
                 for py in range(top, bottom + 1):
                     for px in range(left, right + 1):
-                        apart = image[py * width + px] - image[py * width + px + across]
-                        total += color * apart.norm_sqr() + gradient * (middle - apart).norm_sqr()
+                        q = py * width + px
+                        if ti.static(given):
+                            total += values[k * size + q]
+                        else:
+                            apart = values[q] - values[q + across]
+                            middle = values[p] - values[p + across]
+                            total += color * apart.norm_sqr() + gradient * (middle - apart).norm_sqr()
                 if is_mean == 1:
                     total /= ti.cast((bottom - top + 1) * (right - left + 1), ti.f32)
                 weight = ti.max(ti.exp(-total), floor)
             weights_out[i] = weight
 
-    return SimpleNamespace(features=features_kernel, distance=distance_kernel, patch_weight=patch_weight_kernel)
-
-
-@ti.kernel
-def _weight_kernel(
-    distances: flat(),
-    height: int,
-    width: int,
-    radius: int,
-    patch_radius: int,
-    floor: float,
-    is_mean: int,
-    weights_out: flat(),
-):
-    """exp(-distance), the mean or the sum over those patch pixels that both have; at least `floor`."""
-    size = height * width
-    for i in range(weights_out.shape[0]):
-        k = i // size
-        p = i - k * size
-        x = p % width
-        y = p // width
-        step = step_of(k, radius)
-        weight = 0.0
-        if inside(x + step[0], y + step[1], height, width):
-            left = ti.max(x - patch_radius, 0, -step[0])
-            right = ti.min(x + patch_radius, width - 1, width - 1 - step[0])
-            top = ti.max(y - patch_radius, 0)
-            bottom = ti.min(y + patch_radius, height - 1 - step[1])
-            total = 0.0
-            for py in range(top, bottom + 1):
-                for px in range(left, right + 1):
-                    total += distances[k * size + py * width + px]
-            if is_mean == 1:
-                total /= ti.cast((bottom - top + 1) * (right - left + 1), ti.f32)
-            weight = ti.max(ti.exp(-total), floor)
-        weights_out[i] = weight
+    return weight_kernel
 
 
 @once
@@ -244,24 +225,21 @@ def nlm_weights(
     gradients: PatchGradients = "central",
 ) -> NlmWeights:
     start(device)
-    (height, width, channels), radius, is_mean = shape, window // 2, int(over_patch == "mean")
-    kernels = _feature_kernels(channels)
-    if gradients == "patch":
-        factors = [1 / (sigma**2 * channels) for sigma in (sigma_color, sigma_gradient)]
-
-        def evaluate_by_patches(image: DeviceArray, weights_out: DeviceArray) -> None:
-            options = (height, width, radius, patch // 2, *factors, floor, is_mean)
-            run(kernels.patch_weight, image.values, *options, weights_out.values)
-
-        return evaluate_by_patches
-    features = empty((height, width), channels=3 * channels)
+    (height, width, channels), by_patches = shape, gradients == "patch"
+    factors = [1 / (sigma**2 * channels) for sigma in (sigma_color, sigma_gradient)]
+    sizes = height, width, window // 2
+    weigh = _weight_kernel(channels if by_patches else None)
+    options = *sizes, patch // 2, *factors, floor, int(over_patch == "mean")
+    if by_patches:
+        return lambda image, weights_out: run(weigh, image, *options, weights_out)
+    kernels, features = _feature_kernels(channels), empty((height, width), channels=3 * channels)
     distances = empty((len(half_window(window)), height, width))
     color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
 
     def evaluate(image: DeviceArray, weights_out: DeviceArray) -> None:
-        run(kernels.features, image.values, color, gradient, height, width, features.values)
-        run(kernels.distance, features.values, height, width, radius, distances.values)
-        run(_weight_kernel, distances.values, height, width, radius, patch // 2, floor, is_mean, weights_out.values)
+        run(kernels.features, image, color, gradient, height, width, features)
+        run(kernels.distance, features, *sizes, distances)
+        run(weigh, distances, *options, weights_out)
 
     return evaluate
 
@@ -290,5 +268,5 @@ def _apply(
     diagonal: DeviceArray | None = None,
 ) -> None:
     kernel = operator.rows if on_cpu() else operator.pixels
-    inputs = weights.values, values.values, *optional(diagonal)
-    run(kernel, *inputs, *values.shape, window // 2, result_out.values)
+    inputs = weights, values, *optional(diagonal)
+    run(kernel, *inputs, *values.shape, window // 2, result_out)

@@ -58,8 +58,8 @@ def nlm_ratio(
     floor: float,
     ratio_out: DeviceArray,
 ) -> None:
-    fields = weights.values, guide.values, numerator.values, denominator.values
-    run(_ratio_kernel, *fields, *guide.shape, window // 2, support, floor, ratio_out.values)
+    options = *guide.shape, window // 2, support, floor
+    run(_ratio_kernel, weights, guide, numerator, denominator, *options, ratio_out)
 
 
 @ti.func
@@ -120,8 +120,7 @@ def nlm_plane(
     ridge: float,
     plane_out: DeviceArray,
 ) -> None:
-    fields = weights.values, values.values, certainty.values
-    run(_plane_kernel, *fields, *values.shape, window // 2, support, ridge, plane_out.values)
+    run(_plane_kernel, weights, values, certainty, *values.shape, window // 2, support, ridge, plane_out)
 
 
 @ti.kernel
@@ -142,4 +141,4 @@ def _on_surface_kernel(
 def nlm_on_surface(
     weights: DeviceArray, guide: DeviceArray, *, window: int, support: float, weights_out: DeviceArray
 ) -> None:
-    run(_on_surface_kernel, weights.values, guide.values, *guide.shape, window // 2, support, weights_out.values)
+    run(_on_surface_kernel, weights, guide, *guide.shape, window // 2, support, weights_out)

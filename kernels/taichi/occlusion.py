@@ -94,10 +94,10 @@ def _z_kernels(cpu: bool) -> SimpleNamespace:
 
 
 def visible(disparity: DeviceArray, offsets: DeviceArray, *, tolerance: float, visible_out: DeviceArray) -> None:
-    kernels, size, seen = _z_kernels(on_cpu()), disparity.shape, (disparity.values, offsets.values)
+    kernels, size = _z_kernels(on_cpu()), disparity.shape
     nearest = scratch(visible_out, visible_out.shape)
-    run(kernels.nearest, *seen, _ANY_SOFTNESS, *size, nearest.values)
-    run(kernels.visible, *seen, nearest.values, _ANY_SOFTNESS, tolerance, *size, visible_out.values)
+    run(kernels.nearest, disparity, offsets, _ANY_SOFTNESS, *size, nearest)
+    run(kernels.visible, disparity, offsets, nearest, _ANY_SOFTNESS, tolerance, *size, visible_out)
 
 
 @once
@@ -172,7 +172,6 @@ def splat_z_buffered(
     kernels = _splat_kernels(image.channels, cpu)
     nearest = scratch(coverage_out, coverage_out.shape)
     sums = clear(scratch(coverage_out, coverage_out.shape, channels=image.channels + 2))
-    seen = disparity.values, offsets.values
-    run(_z_kernels(cpu).nearest, *seen, softness, *size, nearest.values)
-    run(kernels.sums, image.values, *seen, nearest.values, softness, sharpness, *size, sums.values)
-    run(kernels.means, sums.values, views_out.values, coverage_out.values)
+    run(_z_kernels(cpu).nearest, disparity, offsets, softness, *size, nearest)
+    run(kernels.sums, image, disparity, offsets, nearest, softness, sharpness, *size, sums)
+    run(kernels.means, sums, views_out, coverage_out)

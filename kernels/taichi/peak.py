@@ -69,8 +69,8 @@ def peak(
     probability_out: DeviceArray,
     deviation_out: DeviceArray,
 ) -> None:
-    outputs = (array.values for array in (disparity_out, probability_out, deviation_out))
-    run(_kernel(logits.scalar), logits.values, first.values, step, *logits.shape, first.shape[1], *outputs)
+    sizes = *logits.shape, first.shape[1]
+    run(_kernel(logits.scalar), logits, first, step, *sizes, disparity_out, probability_out, deviation_out)
 
 
 @ti.kernel
@@ -103,14 +103,6 @@ def judge_peak(
     variance_out: DeviceArray,
 ) -> None:
     at_limit = share[0] + share[3] * math.log(limit / step), share[1], share[2]
-    run(
-        _judge_peak_kernel,
-        probability.values,
-        deviation.values,
-        step,
-        LEAST_ODDS,  # a compiler would add it to the other constant first, and lose digits
-        ti.Vector(list(at_limit)),
-        ti.Vector(list(spread)),
-        confidence_out.values,
-        variance_out.values,
-    )
+    # A compiler that knew LEAST_ODDS would add it to the other constant first, and lose digits.
+    numbers = step, LEAST_ODDS, ti.Vector(list(at_limit)), ti.Vector(list(spread))
+    run(_judge_peak_kernel, probability, deviation, *numbers, confidence_out, variance_out)

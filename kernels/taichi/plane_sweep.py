@@ -387,8 +387,8 @@ class _PlaneSweep:
         n, height, width, channels = self._shape
         if self._recorded is None or self._recorded.scalar != recorded.scalar:
             self._recorded = empty((n, channels, height, width), scalar=recorded.scalar)
-        run(_planes_kernel(channels, image.scalar), image.values, height * width, self._image.values)
-        run(_planes_kernel(channels, recorded.scalar), recorded.values, height * width, self._recorded.values)
+        run(_planes_kernel(channels, image.scalar), image, height * width, self._image)
+        run(_planes_kernel(channels, recorded.scalar), recorded, height * width, self._recorded)
         self._valid = valid
 
     def by_view_sets(self, cost: SweepCost, volume_out: DeviceArray) -> None:
@@ -411,43 +411,23 @@ class _PlaneSweep:
         (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
         if not on_cpu():
             sweep = _gpu_kernel(channels, self._recorded.scalar, masked, seen, gradients, sets)
-            pictures = self._recorded.values, self._image.values, mask, surface
-            tables = self._shifts.values, self._members.values, self._limits.values
+            arrays = self._recorded, self._image, mask, surface, self._shifts, self._members, self._limits
             numbers = self._views, height, width, self._scale, *limits, self._preference, least
-            run(sweep, *pictures, *tables, *numbers, volume_out.values)
+            run(sweep, *arrays, *numbers, volume_out)
             return
         differ = _difference_kernel(self._recorded.scalar, _BLOCK)
         add = _cost_kernel(channels, masked, seen, gradients, _BLOCK)
-        shifts, differences, sums = self._shifts.values, self._differences.values, self._sums.values
-        size = height * width
+        shifts, differences, size = self._shifts, self._differences, height * width
         for label, deepest in enumerate(self._deepest):
             first = label * self._views
             for begin in range(0, max(1, self._views), self._batch):
                 end = min(begin + self._batch, self._views)
-                images, these = (self._recorded.values, self._image.values), (first + begin, end - begin)
-                run(differ, *images, shifts, *these, channels, height, width, self._scale, differences)
-                inputs = differences, mask, surface, shifts, self._members.values
-                run(
-                    add,
-                    *inputs,
-                    sets,
-                    *(first, begin, end, height, width),
-                    *limits,
-                    deepest,
-                    self._group.values,
-                    sums,
-                )
-            run(
-                _least_kernel,
-                sums,
-                sets,
-                *limits,
-                self._preference,
-                least,
-                label * size,
-                size,
-                volume_out.values,
-            )
+                these = first + begin, end - begin, channels, height, width, self._scale
+                run(differ, self._recorded, self._image, shifts, *these, differences)
+                inputs = differences, mask, surface, shifts, self._members, sets, first, begin, end, height, width
+                run(add, *inputs, *limits, deepest, self._group, self._sums)
+            place = label * size, size
+            run(_least_kernel, self._sums, sets, *limits, self._preference, least, *place, volume_out)
 
 
 plane_sweep = _PlaneSweep

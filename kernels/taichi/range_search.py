@@ -110,7 +110,7 @@ def shrink(
 ) -> None:
     kernel = _shrink_kernel(views.channels, views.scalar, valid is not None)
     line, (mask, _) = _line(tuple(int(index) for index in chosen)), optional(valid)
-    run(kernel, views.values, line, mask, scale, factor, *views.shape[1:], images_out.values)
+    run(kernel, views, line, mask, scale, factor, *views.shape[1:], images_out)
 
 
 def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> Details:
@@ -119,9 +119,9 @@ def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> D
     smaller, sums, parts = (empty((n, height, width)) for _ in range(3))
 
     def evaluate(images: DeviceArray, details_out: DeviceArray) -> None:
-        run(_shrink_again_kernel, images.values, shape[1], shape[2], factor, smaller.values)
-        run(_window_kernel, smaller.values, width, window // 2, sums.values, parts.values)
-        run(_details_kernel, smaller.values, sums.values, parts.values, height, width, window // 2, details_out.values)
+        run(_shrink_again_kernel, images, shape[1], shape[2], factor, smaller)
+        run(_window_kernel, smaller, width, window // 2, sums, parts)
+        run(_details_kernel, smaller, sums, parts, height, width, window // 2, details_out)
 
     return evaluate
 
@@ -215,11 +215,11 @@ def side_costs(
         for m, line in enumerate(lines):
             for k, side in enumerate(line):
                 end = begin + len(side)
-                places = reference, shifts.values, begin, end, len(views), height, width
-                run(_differences_kernel, details.values, *places, sums.values, parts.values)
+                places = reference, shifts, begin, end, len(views), height, width
+                run(_differences_kernel, details, *places, sums, parts)
                 place = m * count * height * width
                 share = height, width, 4.5 * len(side), place, int(k == 0)
-                run(_costs_kernel, sums.values, parts.values, *share, volume_out.values)
+                run(_costs_kernel, sums, parts, *share, volume_out)
                 begin = end
 
     return evaluate
@@ -269,4 +269,4 @@ def _distinct_kernel(volume: flat(), lines: int, count: int, apart: int, size: i
 
 def distinct_minimum(volume: DeviceArray, *, apart: int, found_out: DeviceArray) -> None:
     lines, count, height, width = volume.shape
-    run(_distinct_kernel, volume.values, lines, count, apart, height * width, found_out.values)
+    run(_distinct_kernel, volume, lines, count, apart, height * width, found_out)

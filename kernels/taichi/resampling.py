@@ -65,4 +65,4 @@ def resample(
     _, height, width = pictures.shape
     kernel = _kernel(views_out.channels, views_out.scalar)
     size = views_out.shape[1] * views_out.shape[2]
-    run(kernel, pictures.values, places.values, tones.values, white, height, width, size, views_out.values)
+    run(kernel, pictures, places, tones, white, height, width, size, views_out)

@@ -44,11 +44,10 @@ class _Residuals:
         self._state, self._trace = doubles(np.array([1.0, 0.0])), doubles(np.zeros(most + 1))
 
     def begin(self, norm: DeviceArray) -> None:
-        run(_kernels().begin, norm.values, self._state.values, self.go_on.values)
+        run(_kernels().begin, norm, self._state, self.go_on)
 
     def add(self, residual: DeviceArray) -> None:
-        state, trace = self._state.values, self._trace.values
-        run(_kernels().add, residual.values, self._tolerance, state, trace, self.go_on.values)
+        run(_kernels().add, residual, self._tolerance, self._state, self._trace, self.go_on)
 
     def report(self) -> list[float]:
         return [float(value) for value in numpy(self._trace)[: int(numpy(self._state)[_LENGTH])]]

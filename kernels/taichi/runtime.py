@@ -5,7 +5,9 @@ import io
 import os
 import threading
 from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass
 from functools import cache
+from math import prod
 from typing import Any, TypeVar
 
 import taichi as ti
@@ -74,6 +76,25 @@ def alone() -> Iterator[None]:
         yield
 
 
+@dataclass(frozen=True, eq=False)
+class DeviceArray:
+    """A field of scalars, or an image of pixels with `channels` values each: its elements in row order.
+
+    Those of images with more channels than colours are scalars, too: Taichi unrolls loops over vectors. One number is
+    a field of one float64.
+    """
+
+    values: ti.Ndarray
+    shape: tuple[int, ...]
+    channels: int | None = None
+    scalar: Any = ti.f32
+
+    @property
+    def size(self) -> int:
+        """The number of scalars or pixels."""
+        return prod(self.shape)
+
+
 _prepared: dict[tuple[Hashable, ...], Callable[..., None]] = {}
 
 
@@ -83,6 +104,7 @@ def run(kernel: Any, *arguments: Any) -> None:
     Annotations of kernels name the types of all arguments, so that there is one compiled kernel for the values of its
     templates.
     """
+    arguments = tuple(each.values if isinstance(each, DeviceArray) else each for each in arguments)
     with alone():
         primal = kernel._primal
         key = primal, *(arguments[slot] for slot in primal.template_slot_locations)

@@ -135,9 +135,8 @@ class _SectorCosts:
         _, height, width, channels = self._shape
         mask, masked = optional(self._valid)
         find = _costs_kernel(channels, self._recorded.scalar, costs_out.scalar, masked)
-        arrays = self._recorded.values, self._image.values, mask, self._order.values, self._begins.values
-        numbers = self._scale, step, label, height, width, *costs_out.shape
-        run(find, *arrays, first.values, factor.values, *numbers, costs_out.values)
+        arrays = self._recorded, self._image, mask, self._order, self._begins, first, factor
+        run(find, *arrays, self._scale, step, label, height, width, *costs_out.shape, costs_out)
 
 
 sector_costs = _SectorCosts
@@ -167,7 +166,7 @@ def _brightness_kernel(channels: int) -> Any:
 
 
 def brightness(image: DeviceArray, *, factor_out: DeviceArray) -> None:
-    run(_brightness_kernel(image.channels or 1), image.values, parts().values, factor_out.values)
+    run(_brightness_kernel(image.channels or 1), image, parts(), factor_out)
 
 
 @once
@@ -198,4 +197,4 @@ def _fold_kernel(channels: int, stored: Any) -> Any:
 
 def fold(image: DeviceArray, factor: DeviceArray, *, folded_out: DeviceArray) -> None:
     folding = _fold_kernel(image.channels, folded_out.scalar)
-    run(folding, image.values, factor.values, *image.shape, *folded_out.shape[1:], folded_out.values)
+    run(folding, image, factor, *image.shape, *folded_out.shape[1:], folded_out)

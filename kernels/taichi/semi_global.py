@@ -245,17 +245,17 @@ def semi_global(
     sum_out: DeviceArray,
 ) -> None:
     count, height, width = volume.shape
-    inputs = volume.values, image.values, penalty_scale.values, height, width, small, large, contrast
+    inputs = volume, image, penalty_scale, height, width, small, large, contrast
     if not on_cpu():
         spare = min(len(_DIRECTIONS) - 1, min(_SPARE, most_bytes()) // (4 * volume.size))
         others = scratch(sum_out, (max(1, spare * volume.size),))
         kernel, at_once = _gpu_kernel(image.channels, -(-count // _LANES)), 1 + spare
         for begin in range(0, len(_DIRECTIONS), at_once):
             end = min(begin + at_once, len(_DIRECTIONS))
-            run(kernel, *inputs, begin, end, others.values, sum_out.values)
+            run(kernel, *inputs, begin, end, others, sum_out)
         return
     kernel, blocks = _cpu_kernel(image.channels), -(-max(height, width) // _BLOCK)
     costs, leasts = scratch(sum_out, (blocks, count, _BLOCK)), scratch(sum_out, (blocks, _BLOCK))
     for k, (dy, dx) in enumerate(_DIRECTIONS):
         paths, steps = (width, height) if dy else (height, width)
-        run(kernel, *inputs, dy, dx, int(k > 0), paths, steps, costs.values, leasts.values, sum_out.values)
+        run(kernel, *inputs, dy, dx, int(k > 0), paths, steps, costs, leasts, sum_out)

@@ -144,9 +144,9 @@ def smooth_views(
     guide = scratch(views_out, (some, height, width), channels=views.channels)
     for view in range(0, n, some):
         these = view * height * width, min(some, n - view) * height * width
-        inputs = views.values, *optional(valid), scale, height, width, *these, guide.values
+        inputs = views, *optional(valid), scale, height, width, *these, guide
         run(kernels.guide, *inputs)
-        run(kernels.smooth, *inputs, unit, views_out.values)
+        run(kernels.smooth, *inputs, unit, views_out)
 
 
 def reduce_views(
@@ -160,6 +160,6 @@ def reduce_views(
     (_, height, width), (_, rows, columns) = views.shape, views_out.shape
     sizes = height, width, rows, columns
     kernels = _kernels(views.channels, views.scalar)
-    run(kernels.reduce, views.values, *optional(valid), scale, *sizes, views_out.values)
+    run(kernels.reduce, views, *optional(valid), scale, *sizes, views_out)
     if valid is not None and valid_out is not None:
-        run(_reduce_mask_kernel, valid.values, *sizes, valid_out.values)
+        run(_reduce_mask_kernel, valid, *sizes, valid_out)

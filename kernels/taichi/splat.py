@@ -281,16 +281,8 @@ def splat(
     coverage_out: DeviceArray,
 ) -> None:
     kernels = _kernels(image.channels, ti.f32, on_cpu())
-    run(
-        kernels.splat,
-        image.values,
-        disparity.values,
-        offsets.values,
-        softness,
-        *image.shape,
-        clear(views_out).values,
-    )
-    run(kernels.coverage, disparity.values, offsets.values, softness, *image.shape, clear(coverage_out).values)
+    run(kernels.splat, image, disparity, offsets, softness, *image.shape, clear(views_out))
+    run(kernels.coverage, disparity, offsets, softness, *image.shape, clear(coverage_out))
 
 
 class _DataTerm:
@@ -315,33 +307,19 @@ class _DataTerm:
         add_up(self._squares, value_out)
 
     def curvature(self, curvature_out: DeviceArray) -> None:
-        run(self._kernels.curvature, self._image.values, self._curvature, curvature_out.values)
+        run(self._kernels.curvature, self._image, self._curvature, curvature_out)
 
     def _in_slices(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
-        run(
-            self._kernels.slice,
-            self._image.values,
-            disparity.values,
-            self._recorded.values,
-            *self._valid,
-            self._offsets.values,
-            self._scale,
-            self._softness,
-            *disparity.shape,
-            self._slices,
-            self._residuals.values,
-            self._gradients.values,
-            self._squares.values,
-        )
-        run(self._kernels.total, self._gradients.values, self._slices, gradient_out.values)
+        views = self._image, disparity, self._recorded, *self._valid, self._offsets
+        numbers = self._scale, self._softness, *disparity.shape, self._slices
+        run(self._kernels.slice, *views, *numbers, self._residuals, self._gradients, self._squares)
+        run(self._kernels.total, self._gradients, self._slices, gradient_out)
 
     def _at_once(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
-        seen, offsets, residuals = (self._image.values, disparity.values), self._offsets.values, self._residuals.values
-        compared = self._recorded.values, *self._valid, self._scale
-        clear(self._residuals)
-        run(self._kernels.splat, *seen, offsets, self._softness, *disparity.shape, residuals)
-        run(self._kernels.residual, *compared, residuals, self._squares.values)
-        run(self._kernels.vjp, *seen, residuals, offsets, self._softness, *disparity.shape, gradient_out.values)
+        residuals, options = clear(self._residuals), (self._offsets, self._softness, *disparity.shape)
+        run(self._kernels.splat, self._image, disparity, *options, residuals)
+        run(self._kernels.residual, self._recorded, *self._valid, self._scale, residuals, self._squares)
+        run(self._kernels.vjp, self._image, disparity, residuals, *options, gradient_out)
 
 
 data_term = _DataTerm
@@ -385,5 +363,5 @@ def seen_by_reference(
     *,
     seen_out: DeviceArray,
 ) -> None:
-    inputs = disparity.values, offsets.values, *optional(known), *optional(valid), *disparity.shape
-    run(_seen_kernel, *inputs, seen_out.values)
+    inputs = disparity, offsets, *optional(known), *optional(valid), *disparity.shape
+    run(_seen_kernel, *inputs, seen_out)

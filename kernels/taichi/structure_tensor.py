@@ -143,16 +143,14 @@ def structure_tensor(
     value = empty((filters.along_outer.shape[0], height, width), channels=channels)
     slope = empty(value.shape, channels=channels)
     tensor = empty((height, width), channels=3)
-    f = StructureFilters(*(weights.values for weights in filters))
 
     def evaluate(epis: DeviceArray, shear: float, disparity_out: DeviceArray, coherence_out: DeviceArray) -> None:
         kernels = _kernels(channels, epis.scalar)
-        along = f.along_value, f.along_slope, scale, shear, width, size
-        run(kernels.along, epis.values, offsets.values, *along, value.values, slope.values)
-        across = f.across_value, f.across_slope, f.along_outer, width, size
-        run(kernels.across, value.values, slope.values, *across, tensor.values)
-        maps = disparity_out.values, coherence_out.values
-        run(_slope_kernel, tensor.values, f.across_outer, shear, floor, width, *maps)
+        along = filters.along_value, filters.along_slope, scale, shear, width, size
+        run(kernels.along, epis, offsets, *along, value, slope)
+        across = filters.across_value, filters.across_slope, filters.along_outer, width, size
+        run(kernels.across, value, slope, *across, tensor)
+        run(_slope_kernel, tensor, filters.across_outer, shear, floor, width, disparity_out, coherence_out)
 
     return evaluate
 
@@ -171,6 +169,5 @@ def keep_more_coherent(
     best_disparity_out: DeviceArray,
     best_coherence_out: DeviceArray,
 ) -> None:
-    best = best_disparity_out.values, best_coherence_out.values
     tests = shear, reach, unit, low, high, *best_disparity_out.shape, int(vertical)
-    run(_keep_kernel, disparity.values, coherence.values, *optional(trusted), *tests, *best)
+    run(_keep_kernel, disparity, coherence, *optional(trusted), *tests, best_disparity_out, best_coherence_out)

@@ -98,7 +98,7 @@ def _product_kernel() -> Any:
 
 
 def dot(a: DeviceArray, b: DeviceArray, product_out: DeviceArray) -> None:
-    run(_product_kernel(), a.values, b.values, parts().values, product_out.values)
+    run(_product_kernel(), a, b, parts(), product_out)
 
 
 @once
@@ -119,4 +119,4 @@ def _totals_kernel() -> Any:
 
 def add_up(parts: DeviceArray, totals_out: DeviceArray) -> None:
     """Sum the parts [totals * k] of each of some totals [totals], all of the type `double`."""
-    run(_totals_kernel(), parts.values, totals_out.values)
+    run(_totals_kernel(), parts, totals_out)

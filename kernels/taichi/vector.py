@@ -97,45 +97,43 @@ def _kernels() -> SimpleNamespace:
 
 
 def ratio(numerator: DeviceArray, denominator: DeviceArray, ratio_out: DeviceArray, *, factor: float = 1.0) -> None:
-    run(_kernels().ratio, numerator.values, denominator.values, factor, ratio_out.values)
+    run(_kernels().ratio, numerator, denominator, factor, ratio_out)
 
 
 def copy(source: DeviceArray, target_out: DeviceArray) -> None:
-    run(_linear_kernels(source.scalar).copy, source.values, target_out.values)
+    run(_linear_kernels(source.scalar).copy, source, target_out)
 
 
 def axpby(
     alpha: float | DeviceArray, x: DeviceArray, beta: float | DeviceArray, y: DeviceArray, y_out: DeviceArray
 ) -> None:
-    run(
-        _linear_kernels(y_out.scalar).axpby, *_coefficient(alpha), x.values, *_coefficient(beta), y.values, y_out.values
-    )
+    run(_linear_kernels(y_out.scalar).axpby, *_coefficient(alpha), x, *_coefficient(beta), y, y_out)
 
 
 def multiply(x: DeviceArray, y: DeviceArray, product_out: DeviceArray) -> None:
-    run(_kernels().multiply, x.values, y.values, product_out.values)
+    run(_kernels().multiply, x, y, product_out)
 
 
 def divide(x: DeviceArray, y: DeviceArray, quotient_out: DeviceArray) -> None:
-    run(_kernels().divide, x.values, y.values, quotient_out.values)
+    run(_kernels().divide, x, y, quotient_out)
 
 
 def fill(value: float | DeviceArray, x_out: DeviceArray) -> None:
-    run(_linear_kernels(x_out.scalar).fill, *_coefficient(value), x_out.values)
+    run(_linear_kernels(x_out.scalar).fill, *_coefficient(value), x_out)
 
 
 def select(condition: DeviceArray, x: DeviceArray, y: DeviceArray, chosen_out: DeviceArray) -> None:
-    run(_kernels().select, condition.values, x.values, y.values, chosen_out.values)
+    run(_kernels().select, condition, x, y, chosen_out)
 
 
 def threshold(x: DeviceArray, threshold: float, x_out: DeviceArray) -> None:
-    run(_kernels().threshold, x.values, threshold, x_out.values)
+    run(_kernels().threshold, x, threshold, x_out)
 
 
 def clamp(x: DeviceArray, low: float, high: float, x_out: DeviceArray) -> None:
-    run(_kernels().clamp, x.values, low, high, x_out.values)
+    run(_kernels().clamp, x, low, high, x_out)
 
 
 def _coefficient(value: float | DeviceArray) -> tuple[float, ti.Ndarray]:
     """Split a value into a number and a scalar, whose product the value is."""
-    return (1.0, value.values) if isinstance(value, DeviceArray) else (value, one().values)
+    return (1.0, value) if isinstance(value, DeviceArray) else (value, one())

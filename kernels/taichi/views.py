@@ -57,12 +57,12 @@ def intensities(
     views: DeviceArray, index: int, valid: DeviceArray | None, *, scale: float, fill: float, image_out: DeviceArray
 ) -> None:
     kernel = _copy_kernels(views.channels, views.scalar).intensities
-    run(kernel, views.values, int(index) * image_out.size, *optional(valid), scale, fill, image_out.values)
+    run(kernel, views, int(index) * image_out.size, *optional(valid), scale, fill, image_out)
 
 
 def line_of_views(views: DeviceArray, line: Sequence[int], *, vertical: bool, epis_out: DeviceArray) -> None:
     kernel, (_, height, width) = _copy_kernels(views.channels, views.scalar).line, epis_out.shape
-    run(kernel, views.values, _line(tuple(line)).values, height, width, int(vertical), epis_out.values)
+    run(kernel, views, _line(tuple(line)), height, width, int(vertical), epis_out)
 
 
 @once
@@ -212,25 +212,25 @@ class _Normalization:
     def __call__(self, views: DeviceArray, valid: DeviceArray | None, detail_out: DeviceArray) -> None:
         kernels = _normalization_kernels(self._channels, views.scalar, detail_out.scalar, valid is not None)
         if self._sigma == 0:
-            run(kernels.scale, views.values, self._scale, detail_out.values)
+            run(kernels.scale, views, self._scale, detail_out)
             return
         mask, masked = optional(valid)
-        details, colors, energies = self._details.values, self._colors.values, self._energies.values
+        details, colors, energies = self._details, self._colors, self._energies
         for n in range(0, self._n, self._together):
             size = self._height * self._width
             these = n * size, min(self._together, self._n - n) * size
-            image = views.values, mask, self._scale, *these
+            image = views, mask, self._scale, *these
             run(kernels.load, *image, colors)
             self._blur(self._colors, self._narrow, these[1], self._channels + masked)
             run(kernels.detail, *image, colors, details, energies)
             self._blur(self._energies, self._wide, these[1], 1 + masked)
-            run(kernels.contrast, details, energies, self._floor, *these, detail_out.values)
+            run(kernels.contrast, details, energies, self._floor, *these, detail_out)
 
     def _blur(self, values: DeviceArray, weights: DeviceArray, pixels: int, channels: int) -> None:
         """Gaussian sums down the columns and along the rows, in place of the values."""
-        count, sums = pixels * channels, self._sums.values
-        run(self._gaussian, values.values, weights.values, count, self._height, self._width * channels, sums)
-        run(self._gaussian, sums, weights.values, count, self._width, channels, values.values)
+        count, sums = pixels * channels, self._sums
+        run(self._gaussian, values, weights, count, self._height, self._width * channels, sums)
+        run(self._gaussian, sums, weights, count, self._width, channels, values)
 
 
 normalization = _Normalization
