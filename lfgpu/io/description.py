@@ -24,7 +24,7 @@ from lfgpu.io.images import check_size, read_mask
 from lfgpu.io.map_formats import read_map
 from lfgpu.io.pfm import write_pfm
 from lfgpu.io.png import write_png
-from lfgpu.io.texts import read_json_or_toml
+from lfgpu.io.texts import read_json_or_toml, to_toml
 from lfgpu.io.views import load_views
 from lfgpu.printable import printable
 
@@ -108,7 +108,7 @@ def write_description(light_field: LightField, path: str | os.PathLike[str], *, 
             if value
         }
         table["views"] = [{"position": place} for place in places]
-    text = json.dumps(table, indent=1, ensure_ascii=False) if target.suffix.lower() == ".json" else _toml(table)
+    text = json.dumps(table, indent=1, ensure_ascii=False) if target.suffix.lower() == ".json" else to_toml(table)
     try:
         content = text.encode()
     except UnicodeEncodeError as error:
@@ -313,26 +313,3 @@ def _relative(name: str | os.PathLike[str], folder: Path) -> str:
         return Path(os.path.relpath(Path(name).resolve(), folder)).as_posix()
     except ValueError:  # another drive
         return str(Path(name).resolve())
-
-
-def _toml(table: Mapping[str, Any]) -> str:
-    """Write a description as TOML: scalars and lists first, then tables, then the views, a line for each entry."""
-    lines = [f"{key} = {_toml_value(value)}" for key, value in table.items() if not _is_table(value)]
-    for key, value in table.items():
-        if isinstance(value, dict):
-            lines += ["", f"[{key}]", *(f"{name} = {_toml_value(entry)}" for name, entry in value.items())]
-    for view in table.get("views", ()):
-        lines += ["", "[[views]]", *(f"{name} = {_toml_value(entry)}" for name, entry in view.items())]
-    return "\n".join(lines) + "\n"
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
-
-
-def _toml_value(value: Any) -> str:
-    if isinstance(value, list):
-        return f"[{', '.join(_toml_value(entry) for entry in value)}]"
-    if isinstance(value, str):  # JSON escapes as TOML does, but for one character
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    return str(value).lower() if isinstance(value, bool) else repr(value)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -44,6 +45,28 @@ def read_json_or_toml(path: Path, *, largest: int = _LARGEST) -> Any:
         raise
     except (ValueError, RecursionError) as error:
         raise LightFieldError(f"{path} is not valid {kind}: {reason_of(error)}.") from error
+
+
+def to_toml(table: Mapping[str, Any]) -> str:
+    """Write a table as TOML: scalars and lists first, then tables, and those in lists, a line for each entry."""
+    lines = [f"{key} = {_toml_value(value)}" for key, value in table.items() if not _is_table(value)]
+    for key, value in table.items():
+        for entry in (value if isinstance(value, list) else [value]) if _is_table(value) else ():
+            heading = f"[[{key}]]" if isinstance(value, list) else f"[{key}]"
+            lines += ["", heading, *(f"{name} = {_toml_value(part)}" for name, part in entry.items())]
+    return "\n".join(lines).lstrip() + "\n"
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, dict) or (isinstance(value, list) and bool(value) and isinstance(value[0], dict))
+
+
+def _toml_value(value: Any) -> str:
+    if isinstance(value, list):
+        return f"[{', '.join(_toml_value(entry) for entry in value)}]"
+    if isinstance(value, str):  # JSON escapes as TOML does, but for one character
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    return str(value).lower() if isinstance(value, bool) else repr(value)
 
 
 _MOST = 10_000  # entries of a list

@@ -15,11 +15,13 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.formats.entries import entries_of, numbers, whole
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
-from lfgpu.io.texts import read_json_or_toml
+from lfgpu.io.texts import read_json_or_toml, to_toml
 
 _KNOWN = {"size", "focal_length", "principal_point", "rotation", "translation", "name", "model", "distortion"}
 
@@ -60,28 +62,22 @@ def _camera(index: int, entry: Any) -> Camera:
 
 def write_cameras(cameras: Sequence[Camera], path: Path) -> None:
     """Write a cameras.toml, whole or not at all."""
-    lines = []
-    for camera in cameras:
-        lines += [
-            "[[cameras]]",
-            f"name = {_text(camera.name)}",
-            f"size = {list(camera.size)}",
-            f"focal_length = {_numbers(camera.focal_length)}",
-            f"principal_point = {_numbers(camera.principal_point)}",
-            f"model = {_text(camera.model)}",
-            f"distortion = {_numbers(camera.distortion)}",
-            f"rotation = [{', '.join(_numbers(row) for row in camera.rotation)}]",  # type: ignore[union-attr]
-            f"translation = {_numbers(camera.translation)}",
-            "",
-        ]
+    tables = [
+        {
+            "name": camera.name,
+            "size": list(camera.size),
+            "focal_length": _numbers(camera.focal_length),
+            "principal_point": _numbers(camera.principal_point),
+            "model": camera.model,
+            "distortion": _numbers(camera.distortion),
+            "rotation": _numbers(camera.rotation),
+            "translation": _numbers(camera.translation),
+        }
+        for camera in cameras
+    ]
     with atomic_write(path) as temporary:
-        temporary.write_text("\n".join(lines), encoding="utf-8")
+        temporary.write_text(to_toml({"cameras": tables}), encoding="utf-8")
 
 
-def _numbers(values: Any) -> str:
-    return f"[{', '.join(repr(float(value)) for value in values)}]"
-
-
-def _text(value: str) -> str:
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-    return f'"{escaped}"'
+def _numbers(values: Any) -> Any:
+    return np.asarray(values, np.float64).tolist()
