@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import typer
 
-from benchmarks import population, results, runs
+from benchmarks import population, runs
 from benchmarks.options import DeviceName, Out, check_out, say
-from benchmarks.results import Record
+from benchmarks.results import Record, Run
+from benchmarks.tables import Table
 from lfgpu import LightField, scenes
 from lfgpu._backends import DEFAULT, open_device
 from lfgpu.calibration.misalign import displacements
@@ -29,6 +30,7 @@ _RIGS = {"row of 5": ((1, 5), 0.0), "12 scattered": ((3, 4), 0.3)}
 
 _SHOWN, _UNSEEN = ("boxes", "planes"), ("boxes", "planes", "bars", "textureless", "still_life")
 _RANGE, _NOISE = (-1.2, 2.0), 0.01
+_WEIGHTS, _PACKAGE = ("shipped", "fitted"), "package"
 _GENERATED, _SEED = 16, 77  # light fields of the generator, and their seed, which no training has
 
 
@@ -47,7 +49,7 @@ def command(
     from lfgpu.training.train import RATE_LIKE, Settings
 
     check_out(out)
-    place, begun = open_device(DEFAULT, device).name, results.Run.begun("like")
+    place, begun = open_device(DEFAULT, device).name, Run.begun("like")
     before: list[Record] = []
     after: list[Record] = []
     for name, (grid, off) in _RIGS.items():
@@ -62,15 +64,36 @@ def command(
         generator = Generator((_SEED,), place, side=side, rig=rig)
         farthest = made("boxes", 1).layout.farthest
         sources = {
-            f"{name}, package": {scene: partial(made, scene, 101) for scene in _UNSEEN},
+            f"{name}, {_PACKAGE}": {scene: partial(made, scene, 101) for scene in _UNSEEN},
             f"{name}, generated": {str(n): partial(_generated, generator, n, farthest) for n in range(_GENERATED)},
         }
         for label, some in sources.items():
             for config, records in ((configured("learned"), before), (fitted, after)):
                 records += population.run(some, {label: config}, ("true",), check_cameras=False).records
-    named = [replace(r, name=f"{w}, {r.name}") for w, some in (("shipped", before), ("fitted", after)) for r in some]
-    runs.finish(replace(begun, records=named), out)
-    runs.against(replace(begun, records=after), replace(begun, records=before)).show()
+    both = zip(_WEIGHTS, (before, after), strict=True)
+    whole = replace(begun, records=[replace(r, name=f"{which}, {r.name}") for which, some in both for r in some])
+    runs.finish(whole, out)
+    gain(whole).show()
+
+
+def gain(run: Run) -> Table:
+    """Compare the fitted weights with those of lfgpu: ratios of errors, for each rig on scenes and generated ones."""
+    shipped, fitted = (
+        replace(run, records=[replace(r, name=r.details["preset"]) for r in run.records if r.name.startswith(which)])
+        for which in _WEIGHTS
+    )
+    found = runs.against(fitted, shipped)
+    return replace(found, columns=("cameras, light fields", *found.columns[1:]))
+
+
+def by_weights(run: Run) -> list[Record]:
+    """Return the records of the scenes of the package, with the weights as their preset and the rig in the case."""
+    return [
+        replace(r, case=f"{r.case}, {rig}", details={**r.details, "preset": which})
+        for r in run.records
+        for which, rig, source, _ in [r.name.split(", ")]
+        if source == _PACKAGE
+    ]
 
 
 def _scene(name: str, seed: int, *, grid: tuple[int, int], off: float, size: tuple[int, int]) -> LightField:

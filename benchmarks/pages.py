@@ -11,6 +11,7 @@ from typing import Any
 from benchmarks import (
     confidence,
     judge,
+    like,
     live,
     misalignment,
     paper,
@@ -199,6 +200,8 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
         (ACCURACY, "learned.json"),
         lambda *paths: _errors_by_preset([record for path in paths for record in _range_found(results.load(path))]),
     ),
+    "like": (("like.json",), lambda path: like.gain(results.load(path)).markdown),
+    "like-scenes": (("like.json",), lambda path: _errors_by_preset(like.by_weights(results.load(path)))),
     "live": (("h200-live.json",), lambda path: live.table(_rows(path)).markdown),
     "misalignment": (("misalignment.json",), lambda path: misalignment.table(misalignment.load(path)).markdown),
     "new-views": (("rendering.json",), _new_views),

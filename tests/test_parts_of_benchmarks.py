@@ -10,7 +10,20 @@ import pytest
 from scipy.ndimage import map_coordinates
 from typer.testing import CliRunner
 
-from benchmarks import flicker, gpu_parity, judge, misalignment, moving, paper, rendering, results, scaling, soak, tiles
+from benchmarks import (
+    flicker,
+    gpu_parity,
+    judge,
+    like,
+    misalignment,
+    moving,
+    paper,
+    rendering,
+    results,
+    scaling,
+    soak,
+    tiles,
+)
 from benchmarks.cases import CASES, Case
 from benchmarks.cli import app
 from benchmarks.clock import spread
@@ -425,3 +438,27 @@ def test_the_judge_on_the_command_line(tmp_path: Path) -> None:
     assert found["summary"]["found"] == 1
     assert found["summary"]["false_alarms"] == 0
     assert np.hypot(*np.subtract(draw["found"], draw["moved"])) < 0.05
+
+
+# --- like ---
+
+
+def test_gain_is_fitted_over_shipped_for_each_rig() -> None:
+    errors = {"shipped": {"row": 2.0, "ring": 3.0}, "fitted": {"row": 1.0, "ring": 6.0}}
+    records = [
+        Record(
+            "accuracy", "warp", "cpu", "boxes", f"{which}, {rig}, {source}, range true", spread([1.0]),
+            errors=dict.fromkeys(("mse_100", "badpix_07", "badpix_03", "badpix_01"), error),
+            details={"preset": f"{rig}, {source}", "range": "true"},
+        )
+        for which, rigs in errors.items()
+        for rig, error in rigs.items()
+        for source in ("package", "generated")
+    ]  # fmt: skip
+    run = replace(Run.begun("like"), records=records)
+    assert [(row[0], row[2]) for row in like.gain(run).rows] == [
+        ("row, package", "0.50"), ("row, generated", "0.50"), ("ring, package", "2.00"), ("ring, generated", "2.00"),
+    ]  # fmt: skip
+    assert [(r.case, r.details["preset"], r.errors["mse_100"]) for r in like.by_weights(run)] == [
+        (f"boxes, {rig}", which, error) for which, rigs in errors.items() for rig, error in rigs.items()
+    ]
