@@ -73,19 +73,11 @@ def test_text_from_files_does_not_become_part_of_the_page_of_a_batch(scene_folde
     assert "&lt;script&gt;x" in page
 
 
-def test_names_lines_and_pipes_do_no_harm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scene_folders: Path) -> None:
+def test_lines_that_do_not_end_take_no_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfgpu.batch.manifest._LONGEST_LINE", 1000)
     (tmp_path / MANIFEST_FILE).write_bytes(bytes(2500) + b'\n{"item": "a"}\n' + bytes(10))
     assert list(read_manifest(tmp_path)) == ["a"]
     assert damaged_lines(tmp_path) == 4
-    os.mkfifo(tmp_path / MANIFEST_FILE)
-    with pytest.raises(LightFieldError, match="neither a file nor a folder"):
-        read_manifest(tmp_path)
-    items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
-    batch = Batch(items, tmp_path, FAST)
-    batch.summary.entries["scene_0"] = {"item": "scene_0", "status": FAILED, "error": "no \ud800 text"}
-    batch.summary.entries["\ud800"] = {"item": "\ud800", "status": FAILED, "error": "damaged"}
-    assert "no \\ud800 text" in write_report(batch.summary, tmp_path, "a").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize("clock", [1, -1], ids=["a clock that runs", "a clock that was set back"])
@@ -220,6 +212,20 @@ def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(
     assert len(batch._todo(read_manifest(tmp_path))) == 1
     assert "1 damaged lines were skipped" in write_report(batch.summary, tmp_path, "a").read_text()
     assert lfgpu("eval", tmp_path).exit_code == 1
+
+
+def test_a_name_that_is_no_text_is_written_out_in_the_report(scene_folders: Path, tmp_path: Path) -> None:
+    items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
+    batch = Batch(items, tmp_path, FAST)
+    batch.summary.entries["scene_0"] = {"item": "scene_0", "status": FAILED, "error": "no \ud800 text"}
+    batch.summary.entries["\ud800"] = {"item": "\ud800", "status": FAILED, "error": "damaged"}
+    assert "no \\ud800 text" in write_report(batch.summary, tmp_path, "a").read_text(encoding="utf-8")
+
+
+def test_a_pipe_in_place_of_a_manifest_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / MANIFEST_FILE)
+    with pytest.raises(LightFieldError, match="neither a file nor a folder"):
+        read_manifest(tmp_path)
 
 
 SETTINGS = Settings(PRESETS["fast"], disparity_range=(-1.2, 1.2))
