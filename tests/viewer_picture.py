@@ -88,7 +88,7 @@ def main(folder: str) -> None:
         picture.save(DOCS / "viewer.png", optimize=True)
         first, *others = (frame.resize(SHOWN, Image.Resampling.LANCZOS) for frame in film(page))
     first.save(
-        DOCS / "viewer.webp", save_all=True, append_images=others, duration=2 * _STEP, loop=0, quality=40, method=4
+        DOCS / "viewer.webp", save_all=True, append_images=others, duration=2 * _STEP, loop=0, quality=38, method=6
     )
 
 
