@@ -22,7 +22,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.threads import in_threads
 
 _SHARE = 0.5  # of a finding
-_FIRST, _SURELY_RIGHT = 4, 0.5  # one in so many points ends it, if by them alone cameras have so little of that share
+_FIRST, _SURELY_RIGHT = 4, 0.75  # one in so many points ends it, if by them alone cameras have so little of that share
 _IN_ALL, _LEAST, _MOST = 32_000, 400, 800  # points in all views, and bounds of those in each
 _FEWEST = 150  # points: from fewer nothing is said
 _AT_ONCE = 7000  # places that are looked up together
