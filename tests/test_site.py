@@ -33,7 +33,7 @@ def listed(thing: object) -> list[str]:
 
 
 def test_parameters_are_listed_with_their_types_as_the_source_names_them() -> None:
-    assert "config : Config | PresetName, default `'accurate'`" in listed(lfgpu.estimate_depth)
+    assert "config : Config | PresetName | None, default `None`" in listed(lfgpu.estimate_depth)
     assert "lf : LightField" in listed(lfgpu.estimate_depth)
     assert "valid : NDArray[np.bool] | None, default `None`" in listed(lfgpu.LightField)  # bool_ would be a link
     assert "backend, device" in listed(lfgpu.Renderer), "types of parameters that stand together differ"
