@@ -149,6 +149,17 @@ def _times(path: Path) -> str:
     return Table("", ("", *(f"`{name}`" for name in _NAMES)), len(_NAMES) + 1, rows).markdown
 
 
+def _backends(path: Path) -> str:
+    """Write the time of a light field with each backend and device, and its ratio to the first one's."""
+    found = _resident(path)
+    pairs = list(dict.fromkeys((r.backend, r.device) for r in found))
+    rows = []
+    for preset, name in _NAMES.items():
+        of = {(r.backend, r.device): r.seconds.median for r in found if r.name == name and r.seconds is not None}
+        rows.append((f"`{preset}`", *(f"{duration(of[pair])} ({of[pair] / of[pairs[0]]:.1f})" for pair in pairs)))
+    return Table("", ("preset", *(" ".join(pair) for pair in pairs)), len(pairs) + 1, rows).markdown
+
+
 def _resident(path: Path) -> list[Record]:
     records = results.load(path).records
     return [r for r in records if r.kind == "pipeline" and r.name in _NAMES.values() and not r.failed]
@@ -191,6 +202,7 @@ RUNS = (TIMES, "ablation.json")
 TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
     "accuracy": ((ACCURACY,), _accuracy),
+    "backends": (("h100-vulkan.json",), _backends),
     "compared": ((ACCURACY, PUBLISHED), _compared),
     "confidence": (("confidence.json",), lambda path: confidence.by_confidence(_rows(path)).markdown),
     "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),
