@@ -1,8 +1,10 @@
 """Pipelines that stay in memory: the next estimate of the kind is that of a pipeline of its own, bit for bit."""
 
+import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +18,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.recycling import RecyclingDevice
 from lfgpu.pipelines.pipeline import DepthPipeline
-from lfgpu.pipelines.resident import KEPT, set_kept_memory
+from lfgpu.pipelines.resident import KEPT, kept_memory, set_kept_memory
 
 LIMIT = "2GiB"
 
@@ -124,6 +126,21 @@ def test_memory_is_limited_counted_and_freed() -> None:
     assert lfgpu.kept_memory() == 0  # the limit is for all that the process has
     with pytest.raises(LightFieldError, match="must be a size such as 8GiB"):
         lfgpu.set_kept_memory("much")
+
+
+@pytest.mark.thorough
+@pytest.mark.skipif(sys.platform != "linux", reason="the system's count of memory is read from /proc")
+@pytest.mark.parametrize("limit", ["2GiB", 0], ids=["kinds", "nothing kept"])
+def test_memory_of_dropped_pipelines_returns_to_the_system(limit: str | float) -> None:
+    """Pipelines of many kinds, one after the other, take no more than those that are kept."""
+    set_kept_memory(limit)
+    lf = scenes.make("boxes", grid=(5, 5), size=(160, 160))
+    used = []
+    for cut in range(8):
+        small = replace(lf, views=lf.views[:, : 160 - 2 * cut], truth=None)
+        lfgpu.estimate_depth(small, config="learned", disparity_range=(-2, 2), check_cameras=False)
+        used.append(int(Path("/proc/self/statm").read_text().split()[1]) * 4096 - kept_memory())
+    assert max(used[2:]) < min(used[2:]) + 100e6  # a pipeline takes as much, and six are dropped at least
 
 
 def test_views_are_not_kept() -> None:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
+import gc
 import math
+import sys
 import threading
 from hashlib import sha256
 from typing import Any
@@ -76,20 +79,39 @@ class Resident:
             if pipeline is not None:
                 self._put_back(key, pipeline)
             raise
-        self._put_back(key, pipeline)
+        if not self._put_back(key, pipeline):
+            del pipeline
+            _return_memory()
         return result
 
-    def _put_back(self, key: Any, pipeline: DepthPipeline) -> None:
+    def _put_back(self, key: Any, pipeline: DepthPipeline) -> bool:
+        """Keep a pipeline, if it is not larger than the limit; tell whether it is kept."""
         size = pipeline.let_go()
         with self._lock:
-            if size <= self._limit:
+            if is_kept := size <= self._limit:
                 self._kept[key] = pipeline, size
             self._free(self._most)
+        return is_kept
 
     def _free(self, most: int) -> None:
         """Free the pipelines used longest ago, until so many are left and they keep to the limit."""
+        before = len(self._kept)
         while self._kept and (len(self._kept) > most or sum(size for _, size in self._kept.values()) > self._limit):
             del self._kept[next(iter(self._kept))]
+        if len(self._kept) < before:
+            _return_memory()
+
+
+def _return_memory() -> None:
+    """Return the memory of dropped pipelines to the system.
+
+    Their parts refer to each other, so it takes a collection. Then glibc keeps the memory, in pieces into which the
+    next pipeline does not fit.
+    """
+    gc.collect()
+    trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
+    if trim is not None:
+        trim(0)
 
 
 KEPT = Resident(most=4, limit=_LIMIT)
