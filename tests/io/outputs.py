@@ -37,7 +37,6 @@ def a_result() -> DepthResult:
         "disparity_range": (-1.0, 1.0),
         "trace": (1.0, 0.5),
         "geometry": Geometry(100.0, 0.01, 2.0),
-        "name": "scene",
     }
     return made_result(disparity, status="done.", name="scene", **told)
 
