@@ -18,7 +18,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.recycling import RecyclingDevice
 from lfgpu.pipelines.pipeline import DepthPipeline
-from lfgpu.pipelines.resident import KEPT, kept_memory, set_kept_memory
+from lfgpu.pipelines.resident import KEPT, _return_memory, kept_memory, set_kept_memory
 
 LIMIT = "2GiB"
 
@@ -133,6 +133,8 @@ def test_memory_is_limited_counted_and_freed() -> None:
 @pytest.mark.parametrize("limit", ["2GiB", 0], ids=["kinds", "nothing kept"])
 def test_memory_of_dropped_pipelines_returns_to_the_system(limit: str | float) -> None:
     """Pipelines of many kinds, one after the other, take no more than those that are kept."""
+    KEPT.free()
+    _return_memory()  # what other tests left
     set_kept_memory(limit)
     lf = scenes.make("boxes", grid=(5, 5), size=(160, 160))
     used = []
