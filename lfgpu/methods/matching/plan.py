@@ -123,7 +123,7 @@ class MatchingPlan:
         variance = self._sweeps.last.aggregation.variance
         self._alignment.run(self._matched, variance, self._aligned, self._steps, callback)
         if self._second is not None:
-            self._second.take(self._alignment, self._sweeps.unhidden, self._aligned)
+            self._second.take(self._alignment, self._unhidden, self._aligned)
 
     def _finish(self, _: Callback | None) -> None:
         self._complete()
@@ -131,11 +131,16 @@ class MatchingPlan:
 
     def _complete(self) -> None:
         self._completion.run(self._aligned, self._alignment.curvature, self.disparity)
-        self._judge(self._sweeps.unhidden)
+        self._judge()
 
-    def _judge(self, unhidden: Array | None) -> None:
-        """Find confidence and variance; `unhidden` as for `Judging.run`."""
-        self._sweeps.judge(self._sweeps.last, self.disparity, unhidden, self.confidence)
+    @property
+    def _unhidden(self) -> Array | None:
+        """The evidence of a sweep of this frame in which nothing was hidden; see `Judging.run`."""
+        return self._sweeps.unhidden
+
+    def _judge(self) -> None:
+        """Find confidence and variance."""
+        self._sweeps.judge(self._sweeps.last, self.disparity, self._unhidden, self.confidence)
         if self._second is not None:
             self._second.judge(self.confidence)
         self._frame.known.take_out(self.confidence)

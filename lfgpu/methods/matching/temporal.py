@@ -176,7 +176,11 @@ class TemporalMatching(MatchingPlan):
                 reach=self._temporal.reach,
             )
 
-    def _judge(self, unhidden: Array | None) -> None:
+    @property
+    def _unhidden(self) -> Array | None:
+        return None if self._is_warm else super()._unhidden
+
+    def _judge(self) -> None:
         if self._is_warm and self._temporal.persistence > 0:
             support = self._temporal.support / self._frame.layout.farthest
             self._streaming.blend(
@@ -199,4 +203,4 @@ class TemporalMatching(MatchingPlan):
         else:
             self._kernels.fill(1.0, self._frames)
             self._kernels.fill(0.0, self._rate)
-        super()._judge(None if self._is_warm else unhidden)
+        super()._judge()
