@@ -14,9 +14,9 @@ from lfgpu.metrics import sparsification
 
 lf = scenes.make("bars", grid=(7, 7), size=(144, 192), noise=0.01)
 result = lfgpu.estimate_depth(lf, config="fast")
-curve = sparsification(result.disparity, lf.truth.disparity, result.confidence)
+curve = sparsification(result, result.confidence, lf.truth)
 
-figure, axes = plt.subplots(1, 2, figsize=(10, 3.4), layout="constrained")
+figure, axes = plt.subplots(1, 2, figsize=(9, 4), layout="constrained")
 drawn = axes[0].imshow(result.confidence, cmap="cividis", vmin=0, vmax=1)
 axes[0].set_axis_off()
 figure.colorbar(drawn, ax=axes[0], label="confidence")
