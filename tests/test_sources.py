@@ -278,8 +278,9 @@ def test_a_scene_that_moves_is_made_before_it_is_played(monkeypatch: pytest.Monk
 def test_it_is_said_how_many_frames_of_a_scene_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfgpu.pipelines.sources.scene._SAID_AGAIN", -1.0)
     said: list[str] = []
-    open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, say=said.append))
-    assert set(said[1:]) == {f"{n} of 24 frames are made." for n in range(1, 25)}
+    open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, most=3, say=said.append))
+    assert said[0] == "Making 3 frames of the scene moving."
+    assert set(said[1:]) == {f"{n} of 3 frames are made." for n in range(1, 4)}
 
 
 def test_frames_are_not_faster_than_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -173,6 +173,7 @@ def live(
         grid=values.parse_grid(grid),
         like=None if like is None else read(like),
         scene={"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise},
+        most=frames,
         rectifier=rectifier,
         stop=stop,
         say=(lambda _: None) if quiet else _say,

@@ -30,7 +30,8 @@ def frames(source: str, options: Options) -> Frames:
     given = {**options.scene, "grid": options.grid or _GRID}
     if source != "moving":
         return itertools.repeat(make(source, **given))
-    options.say(f"Making {_ROUND} frames of the scene {source}, which then repeat.")
+    wanted = min(_ROUND, options.most or _ROUND)
+    options.say(f"Making {wanted} frames of the scene {source}{', which then repeat' * (wanted == _ROUND)}.")
     made, said = itertools.count(1), time.monotonic()
 
     def cast(index: int) -> LightField:
@@ -39,7 +40,7 @@ def frames(source: str, options: Options) -> Frames:
         count = next(made)
         if time.monotonic() > said + _SAID_AGAIN:
             said = time.monotonic()
-            options.say(f"{count} of {_ROUND} frames are made.")
+            options.say(f"{count} of {wanted} frames are made.")
         return frame
 
-    return itertools.cycle(in_threads(cast, range(_ROUND)))
+    return itertools.cycle(in_threads(cast, range(wanted)))
