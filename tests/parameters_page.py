@@ -4,6 +4,7 @@ python tests/parameters_page.py      # writes docs/parameters.md
 """
 
 import dataclasses
+from collections.abc import Mapping
 from pathlib import Path
 
 from lfgpu.config import Config, parameters
@@ -17,6 +18,8 @@ _HEAD = """\
 Each method has parameters of its own, in sections. Set one with `--set section.parameter=value` on the command line,
 or with `config.with_values({"section.parameter": value})` in Python. `lfgpu parameters --preset NAME` lists them too. A
 parameter that the method of the preset does not read is refused.
+
+The default is the value in the first preset of the method; other presets are named where their value is another.
 """
 
 
@@ -24,28 +27,24 @@ def page() -> str:
     """The whole page as Markdown."""
     parts = [_HEAD]
     for name, entry in METHODS.items():
-        default, *others = entry.presets
         parts.append(f"## {name}: {entry.label}\n")
-        columns = "".join(f" `{other}` |" for other in others)
-        parts.append(
-            f"| parameter | symbol | `{default}` |{columns} range | what it is |\n"
-            f"|---|---|---|{'---|' * len(others)}---|---|"
-        )
-        parts += [_row(key, field, list(entry.presets.values())) for key, field in parameters(entry.config)]
+        parts.append("| parameter | default | range | what it is |\n|---|---|---|---|")
+        parts += [_row(key, field, entry.presets) for key, field in parameters(entry.config)]
         parts.append("")
     return "\n".join(parts)
 
 
-def _row(name: str, field: dataclasses.Field[object], presets: list[Config]) -> str:
+def _row(name: str, field: dataclasses.Field[object], presets: Mapping[str, Config]) -> str:
     meta, (section, parameter) = field.metadata, name.split(".")
-    first, *others = (getattr(getattr(preset, section), parameter) for preset in presets)
-    shown = [_value(first), *(_value(other) if other != first else "" for other in others)]
+    values = {preset: getattr(getattr(config, section), parameter) for preset, config in presets.items()}
+    first, *_ = values.values()
+    shown = [_value(first), *(f"`{preset}`: {_value(other)}" for preset, other in values.items() if other != first)]
     if "choices" in meta:
         extent = ", ".join(meta["choices"])
     else:
         extent = f"{meta['low']:g} to {meta['high']:g}" + (", odd" if meta["odd"] else "")
-    symbol = meta["symbol"].replace("|", r"\|")
-    return f"| `{name}` | {symbol} | {' | '.join(shown)} | {extent} | {meta['doc']} |"
+    symbol = f", {meta['symbol']}" if meta["symbol"] else ""
+    return f"| `{name}`{symbol} | {'; '.join(shown)} | {extent} | {meta['doc']} |"
 
 
 def _value(value: object) -> str:

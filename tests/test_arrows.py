@@ -1,5 +1,7 @@
 """Imports run one way: from front ends down to data and the contract, never up and never in a circle."""
 
+import re
+
 import arrows
 import pytest
 
@@ -38,3 +40,9 @@ def test_arrows_are_seen_and_drawn() -> None:
     assert "lfgpu.pipelines.estimate" in found["lfgpu.cli.options"]
     assert "lfgpu.methods.base" in found["lfgpu.methods"]
     assert arrows.DRAWING.read_text(encoding="utf-8") == arrows.drawing(), "run: python tests/arrows.py"
+
+
+def test_the_page_names_every_room() -> None:
+    page = (arrows.ROOT / "docs" / "house.md").read_text(encoding="utf-8")
+    named = re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", page, re.MULTILINE)))
+    assert sorted(named) == sorted(FLOOR)

@@ -131,7 +131,7 @@ class Method(ABC, Generic[C]):
 
     @property
     def stages(self) -> tuple[Stage, ...]:
-        """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
+        """The stages that run with these parameters, in order."""
         return self.STAGES
 
     @property

@@ -35,7 +35,7 @@ class PropagationConfig(Section):
 
     solver: str = choice("cg", ("cg", "lbfgsb"), "cg: conjugate gradients; lbfgsb: L-BFGS-B, as in the paper")
     tolerance: float = number(
-        1e-5, 1e-8, 1e-1, "relative residual (cg) or relative decrease of the energy (lbfgsb) at which the solver stops"
+        1e-5, 1e-8, 1e-1, "residual (cg) or gradient (lbfgsb), relative to the right side, at which the solver stops"
     )  # fmt: skip
     max_iterations: int = number(300, 1, 10000, "largest number of iterations of the solver")
 
