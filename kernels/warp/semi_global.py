@@ -10,7 +10,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, in_slices, launch, load, once, slices
+from .threads import check_size, in_slices, is_preparing, launch, load, once, slices
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
 _BLOCK = 32  # paths that a CPU follows together
@@ -86,13 +86,16 @@ def _on_gpu(volume: Any, inputs: list[Any], sum_out: Any) -> None:
     check_size(turning)
     options = {"device": device, "block_dim": _TURNING}
     launch(_turn_kernel(), turning, [volume, costs, 0, False], **options)
-    follow, at_once = _path_kernel(-(-count // _WARP)), len(turned) // size
+    each, at_once = -(-count // _WARP), len(turned) // size
+    # The next light field has another range: the kernels beside are compiled with the one of the first.
+    kernels = [_path_kernel(k) for k in range(max(1, each - 1), each + 2)] if is_preparing() else [_path_kernel(each)]
     for first in range(0, len(_DIRECTIONS), at_once):
         some = _DIRECTIONS[first : first + at_once]
         paths = sum(width if dy else height for dy, _ in some)
         threads = -(-paths // _WARPS) * _WARPS * _WARP
         inputs = [as_turned, steps_to, first, first + len(some)]
-        launch(follow, threads, inputs, [turned], device=device, block_dim=_WARPS * _WARP)
+        for follow in kernels:
+            launch(follow, threads, inputs, [turned], device=device, block_dim=_WARPS * _WARP)
         launch(_turn_kernel(), turning, [sum_out, turned, len(some), first > 0], **options)
 
 
