@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from .native_code import kernel
-from .threads import launch, launch_tiles, once
+from .threads import flat, launch, launch_tiles, once
 from .vector import BLOCK, dot, partial_dot_kernel
 
 wp.set_module_options({"enable_backward": False})
@@ -86,7 +86,7 @@ def _parts(device: str) -> Any:
 
 def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any) -> None:
     device = p.device
-    fields = p.flatten(), q.flatten(), preconditioner.flatten(), x.flatten(), r.flatten()
+    fields = flat(p), flat(q), flat(preconditioner), flat(x), flat(r)
     p, q, preconditioner, x, r = fields
     along, left = _parts(device.alias)
     if device.is_cpu:

@@ -17,7 +17,7 @@ from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
 from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
-from .threads import in_slices, launch, load, slices
+from .threads import flat, in_slices, launch, load, slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -60,8 +60,8 @@ class _PlaneSweep:
             self._prepare(stored)
         if not self._device.is_cpu:
             self._image = image
-            inputs = [recorded.flatten(), None if valid is None else valid.flatten()]
-            launch(self._pack, recorded.size, inputs, [self._views.flatten()], device=self._device)
+            inputs = [flat(recorded), None if valid is None else flat(valid)]
+            launch(self._pack, recorded.size, inputs, [flat(self._views)], device=self._device)
             return
         self._valid = valid
         load(self._device, self._loading.views)
@@ -136,8 +136,8 @@ class _PlaneSweep:
     def _mark_surface(self, nearest: Any) -> None:
         if self._marks is None:
             self._marks = wp.empty(self._shape[:3], dtype=wp.uint16, device=self._device)
-        inputs = [self._views.flatten(), nearest.flatten(), self._deepest]
-        launch(self._mark, self._marks.size, inputs, [self._marks.flatten()], device=self._device)
+        inputs = [flat(self._views), flat(nearest), self._deepest]
+        launch(self._mark, self._marks.size, inputs, [flat(self._marks)], device=self._device)
 
 
 plane_sweep = _PlaneSweep

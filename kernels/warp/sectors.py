@@ -13,7 +13,7 @@ from .gpu_plane_sweep import kept_type as gpu_kept_type
 from .gpu_plane_sweep import pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
-from .threads import check_size, in_slices, launch, load, once, with_wide_vectors
+from .threads import check_size, flat, in_slices, launch, load, once, with_wide_vectors
 from .vector import dot
 
 _MORE = 17  # columns of views that nothing reads: rows of all views would share few places of a cache
@@ -69,8 +69,8 @@ class _SectorCosts:
                 self._views = wp.empty((n, height, width), dtype=gpu_kept_type(channels, stored), device=self._device)
         self._image, self._valid = image, valid
         if not self._device.is_cpu:
-            inputs = [recorded.flatten(), None if valid is None else valid.flatten()]
-            launch(pack_kernel(channels, stored), recorded.size, inputs, [self._views.flatten()], device=self._device)
+            inputs = [flat(recorded), None if valid is None else flat(valid)]
+            launch(pack_kernel(channels, stored), recorded.size, inputs, [flat(self._views)], device=self._device)
             return
         keep = loading_kernels(channels, stored).views
         load(self._device, keep)

@@ -247,7 +247,15 @@ def launch(
 ) -> None:
     """Launch a kernel; what a crash left of it in the cache of kernels is compiled again."""
     options = {"device": device, "stream": stream, "block_dim": block_dim}
-    from_cache(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel.module, device, block_dim)
+    if _is_loaded(kernel.module, device, block_dim):
+        wp.launch(kernel, dim, inputs, outputs, **options)
+    else:
+        from_cache(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel.module, device, block_dim)
+
+
+def _is_loaded(module: Any, device: Any, block_dim: int | None) -> bool:
+    """Tell whether what is loaded may be launched at once."""
+    return (module, str(device), block_dim) in _loaded and not is_preparing()
 
 
 def launch_tiles(
@@ -256,6 +264,15 @@ def launch_tiles(
     """Launch a kernel whose threads work together on tiles, as `launch` does."""
     options = {"dim": dim, "inputs": inputs, "outputs": outputs, "device": device, "block_dim": block_dim}
     from_cache(lambda: wp.launch_tiled(kernel, **options), kernel.module, device, block_dim)
+
+
+def flat(array: Any) -> Any:
+    """Return a contiguous array as a row, made once, as it takes as long as to launch a kernel on it."""
+    if array.ndim == 1:
+        return array
+    if not hasattr(array, "lfgpu_flat"):
+        array.lfgpu_flat = wp.array(ptr=array.ptr, dtype=array.dtype, shape=array.size, device=array.device, copy=False)
+    return array.lfgpu_flat
 
 
 def check_size(*threads: int) -> None:
@@ -277,6 +294,8 @@ def lanes(array: Any) -> int:
 
 def load(device: Any, *kernels: Any) -> None:
     """Compile and load what threads are about to launch; they must not do it at the same time."""
+    if all(_is_loaded(kernel.module, device, None) for kernel in kernels):
+        return
     with LOADING:
         for module in {kernel.module for kernel in kernels}:
             from_cache(partial(wp.load_module, module, device=device), module, device, None)

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from .native_code import kernel
-from .threads import launch, launch_tiles, once
+from .threads import flat, launch, launch_tiles, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -143,10 +143,10 @@ def _parts(device: str) -> Any:
 def dot(a: Any, b: Any, product_out: Any) -> None:
     device = a.device
     if device.is_cpu:
-        launch(_dot_on_cpu_kernel(), 1, [a.flatten(), b.flatten()], [product_out], device=device)
+        launch(_dot_on_cpu_kernel(), 1, [flat(a), flat(b)], [product_out], device=device)
         return
     parts = _parts(device.alias)
-    inputs = [a.flatten(), b.flatten(), _BLOCKS * BLOCK]
+    inputs = [flat(a), flat(b), _BLOCKS * BLOCK]
     launch_tiles(partial_dot_kernel, dim=[_BLOCKS], inputs=inputs, outputs=[parts], block_dim=BLOCK, device=device)
     launch_tiles(sum_kernel, dim=[1], inputs=[parts], outputs=[product_out], block_dim=BLOCK, device=device)
 
@@ -163,7 +163,7 @@ def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
     if y_out.dtype is wp.float64:
         _launch(_axpby_scalar_kernel, [alpha, x, beta, y], y_out)
         return
-    inputs = [*_number_or_scalar(alpha), x.flatten(), *_number_or_scalar(beta), y.flatten()]
+    inputs = [*_number_or_scalar(alpha), flat(x), *_number_or_scalar(beta), flat(y)]
     if y_out.device.is_cpu:
         _launch_for_each("axpby", "a * xs[i] + b * ys[i]", inputs, y_out)
     else:
@@ -172,17 +172,17 @@ def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
 
 def multiply(x: Any, y: Any, product_out: Any) -> None:
     if product_out.device.is_cpu:
-        _launch_for_each("multiply", "xs[i] * ys[i]", [0.0, None, x.flatten(), 0.0, None, y.flatten()], product_out)
+        _launch_for_each("multiply", "xs[i] * ys[i]", [0.0, None, flat(x), 0.0, None, flat(y)], product_out)
     else:
-        _launch(_multiply_kernel, [x.flatten(), y.flatten()], product_out)
+        _launch(_multiply_kernel, [flat(x), flat(y)], product_out)
 
 
 def divide(x: Any, y: Any, quotient_out: Any) -> None:
     if quotient_out.device.is_cpu:
-        each, inputs = "ys[i] != 0.f ? xs[i] / ys[i] : 0.f", [0.0, None, x.flatten(), 0.0, None, y.flatten()]
+        each, inputs = "ys[i] != 0.f ? xs[i] / ys[i] : 0.f", [0.0, None, flat(x), 0.0, None, flat(y)]
         _launch_for_each("divide", each, inputs, quotient_out)
     else:
-        _launch(_divide_kernel, [x.flatten(), y.flatten()], quotient_out)
+        _launch(_divide_kernel, [flat(x), flat(y)], quotient_out)
 
 
 def fill(value: Any, x_out: Any) -> None:
@@ -190,19 +190,19 @@ def fill(value: Any, x_out: Any) -> None:
 
 
 def select(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
-    _launch(_choose_kernel, [condition.flatten(), x.flatten(), y.flatten()], chosen_out)
+    _launch(_choose_kernel, [flat(condition), flat(x), flat(y)], chosen_out)
 
 
 def threshold(x: Any, threshold: float, x_out: Any) -> None:
-    _launch(_at_least_kernel, [x.flatten(), threshold], x_out)
+    _launch(_at_least_kernel, [flat(x), threshold], x_out)
 
 
 def clamp(x: Any, low: float, high: float, x_out: Any) -> None:
     if x_out.device.is_cpu:
-        inputs = [low, None, x.flatten(), high, None, x.flatten()]
+        inputs = [low, None, flat(x), high, None, flat(x)]
         _launch_for_each("clamp", "wp::clamp(xs[i], a, b)", inputs, x_out)
     else:
-        _launch(_clamp_kernel, [x.flatten(), low, high], x_out)
+        _launch(_clamp_kernel, [flat(x), low, high], x_out)
 
 
 def _number_or_scalar(value: Any) -> tuple[float, Any]:
@@ -210,8 +210,8 @@ def _number_or_scalar(value: Any) -> tuple[float, Any]:
 
 
 def _launch(kernel: Any, inputs: list[Any], result_out: Any) -> None:
-    launch(kernel, result_out.size, inputs, [result_out.flatten()], device=result_out.device)
+    launch(kernel, result_out.size, inputs, [flat(result_out)], device=result_out.device)
 
 
 def _launch_for_each(name: str, each: str, inputs: list[Any], result_out: Any) -> None:
-    launch(_cpu_kernel(name, each), 1, inputs, [result_out.flatten()], device=result_out.device)
+    launch(_cpu_kernel(name, each), 1, inputs, [flat(result_out)], device=result_out.device)
