@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -188,7 +189,11 @@ class _Search:
         self._lf, self._device, self._factor = lf, device, factor
         self._views: Array | None = None if shown is None else shown[0]
         self._held = [] if shown is None else list(shown[1])
-        self._least_noise = _LEAST_NOISE * exposure_of(lf)
+
+    @cached_property
+    def _least_noise(self) -> float:
+        """The least noise that views may have, intensity; it is measured while the device compares."""
+        return _LEAST_NOISE * exposure_of(self._lf)
 
     def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
         """Compare the views of some sides with the reference at disparities within bounds.
@@ -198,7 +203,8 @@ class _Search:
         chosen = sorted({self._lf.reference_index, *(view for side in sides for view in side.views)})
         images = self._shrunk(chosen)
         started = [self._started(images, chosen, sides, bounds, more) for more in times]
-        return [comparison.evidence(self._device.kernels.numpy(comparison.found)) for comparison in started]
+        least_noise = self._least_noise
+        return [one.evidence(self._device.kernels.numpy(one.found), least_noise) for one in started]
 
     def _started(
         self, images: Array, chosen: list[int], sides: list[_Side], bounds: tuple[float, float], times: int
@@ -232,7 +238,7 @@ class _Search:
         compare(details, volume)
         kernels.distinct_minimum(volume, apart=max(1, round(_APART * factor / far / step)), found_out=found)
         unchecked = len(lines) == len(sides) and all(len(side.views) == 1 for side in sides)
-        return _Comparison(found, bounds[0], step, unchecked, self._least_noise)
+        return _Comparison(found, bounds[0], step, unchecked)
 
     def _shrunk(self, chosen: list[int]) -> Array:
         """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
@@ -264,9 +270,8 @@ class _Comparison:
     first: float
     step: float
     unchecked: bool
-    least_noise: float
 
-    def evidence(self, found: NDArray[np.floating]) -> _Evidence:
+    def evidence(self, found: NDArray[np.floating], least_noise: float) -> _Evidence:
         """Select the pixels that are evidence, of `found` on the host.
 
         Views differ there by the noise at most, along each line, and by clearly more at all other disparities. The
@@ -276,14 +281,14 @@ class _Comparison:
         seen = least < _LARGEST  # masked pixels have no say
         if not seen.any():
             return _Evidence(np.full(place.shape, np.nan, np.float32), self.step, self.unchecked)
-        noise = max(float(np.median(least[seen & (spread >= np.median(spread[seen]))])), self.least_noise)
+        noise = max(float(np.median(least[seen & (spread >= np.median(spread[seen]))])), least_noise)
         certain = (worst <= min(_SAME * noise, 1.0)) & (others >= _OTHER * noise)
         disparity = np.where(certain, self.first + self.step * place, np.inf).astype(np.float32)
         count, mean = _agreeing(disparity, 1.5 * self.step)
         return _Evidence(np.where(count >= _AGREEING, mean, np.float32(np.nan)), self.step, self.unchecked)
 
 
-def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.intp], Float32Array]:
+def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.int8], Float32Array]:
     """Count the neighbours of each pixel, of eight, that have its disparity, and average these and the pixel, [y, x].
 
     Both are 0 where a disparity is infinite.
@@ -291,7 +296,7 @@ def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.int
     height, width = disparity.shape
     padded = np.pad(disparity, 1, constant_values=np.inf)
     known = np.isfinite(disparity)
-    total, count = np.zeros(disparity.shape, np.float32), np.zeros(disparity.shape, np.intp)
+    total, count = np.zeros(disparity.shape, np.float32), np.zeros(disparity.shape, np.int8)
     for dy, dx in np.ndindex(3, 3):
         near = padded[dy : dy + height, dx : dx + width]
         with np.errstate(invalid="ignore"):  # infinite ones have no difference

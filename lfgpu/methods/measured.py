@@ -12,6 +12,14 @@ from lfgpu.errors import LightFieldError
 
 
 @dataclass(frozen=True)
+class Seen:
+    """The grain and the exposure of a light field, whatever its disparities; as in `Measured`."""
+
+    grain: float
+    exposure: float
+
+
+@dataclass(frozen=True)
 class Measured:
     """The disparity range and the noise of a light field: measured once, checked once, then passed on.
 

@@ -64,6 +64,6 @@ def _at_ends(bounds: tuple[float, float], matched: Float32Array) -> list[tuple[f
     close = _MARGIN * (high - low)
     found = []
     for distance in (known - low, high - known):
-        at_end, both = (int((distance <= times * close).sum()) for times in (1, 1 + _BESIDE))
+        at_end, both = (int(np.count_nonzero(distance <= times * close)) for times in (1, 1 + _BESIDE))
         found.append((at_end / max(1, known.size), (both - at_end) / _BESIDE / max(1, known.size)))
     return found

@@ -18,6 +18,7 @@ from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
+from lfgpu.threads import in_threads
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -57,7 +58,7 @@ def measured_grain(lf: LightField, exposure: float = 1.0) -> float:
         return 0.0
     planes = np.ascontiguousarray(np.moveaxis(lf.views[lf.reference_index], -1, 0)) * np.float32(lf.scale)
     bands = [planes[:, top : top + _BAND + 4] for top in range(0, lf.size[0] - 4, _BAND)]
-    fine = [np.abs(np.diff(np.diff(band, 4, axis=1), 4, axis=2)).sum(0) for band in bands]
+    fine = in_threads(lambda band: np.abs(np.diff(np.diff(band, 4, axis=1), 4, axis=2)).sum(0), bands)
     unit = math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum()
     sizes = window_mean(np.concatenate(fine) / np.float32(lf.channels) * np.float32(unit), _GRAIN_WINDOW)
     limits = ((planes == planes.min((1, 2), keepdims=True)) | (planes == planes.max((1, 2), keepdims=True))).any(0)

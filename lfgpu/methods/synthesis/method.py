@@ -9,7 +9,7 @@ from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import Footprint
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_noise
-from lfgpu.methods.measured import Measured, checked_range
+from lfgpu.methods.measured import Measured, Seen, checked_range
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.plan import SynthesisPlan, spread
 
@@ -42,7 +42,9 @@ class Synthesis(Method[SynthesisConfig]):
     def is_on_device(self) -> bool:
         return self.config.propagation.solver == "cg" and self.config.refinement.solver == "lbfgs"
 
-    def measured(self, lf: LightField, bounds: tuple[float, float], device: Device) -> Measured:
+    def measured(
+        self, lf: LightField, bounds: tuple[float, float], device: Device, *, seen: Seen | None = None
+    ) -> Measured:
         unit = self.config.prior.sigma_unit
         return Measured(
             bounds,
