@@ -21,6 +21,7 @@ from lfgpu.metrics import evaluate
 from lfgpu.solvers.cg import ConjugateGradients
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 from lfgpu.solvers.lbfgsb import ScipyLbfgsb
+from lfgpu.solvers.solution import Solution
 
 SHAPE = (4, 6)
 
@@ -83,13 +84,21 @@ def test_cg_says_when_the_limit_stopped_it(target: Any, rng: np.random.Generator
     assert "limit of iterations" in solution.status
 
 
+def needed(target: Any, solution: Solution) -> int:
+    """Count the iterations to the tolerance; by Taichi on a GPU some more are made before the host looks."""
+    count = next(k for k, residual in enumerate(solution.trace) if residual <= 1e-6)
+    late = target.kernels.name == "taichi" and target.device != "cpu"
+    assert 0 <= solution.iterations - count < (8 if late else 1)
+    return count
+
+
 def test_cg_at_the_solution_needs_no_iteration(target: Any, rng: np.random.Generator) -> None:
     start = rng.integers(-4, 5, 24).astype(float)
     values, solution = DenseSystems(target).solve(np.diag(np.arange(1.0, 25)), np.arange(1.0, 25) * start, start)
-    assert (solution.converged, solution.iterations) == (True, 0)
+    assert (solution.converged, needed(target, solution)) == (True, 0)
     np.testing.assert_array_equal(values, start)
     _, solution = DenseSystems(target).solve(np.diag(2.0 ** rng.integers(-3, 4, 24)), rng.normal(size=24))
-    assert (solution.converged, solution.iterations) == (True, 1)
+    assert (solution.converged, needed(target, solution)) == (True, 1)
     values, solution = DenseSystems(target).solve(np.eye(24), np.zeros(24))
     assert solution.converged
     assert not values.any()

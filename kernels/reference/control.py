@@ -11,7 +11,7 @@ def kernel_cache() -> None:
     return None
 
 
-def repeat(body: Callable[[], None], go_on: NDArray[np.float64], most: int) -> None:
+def repeat(body: Callable[[], None], go_on: NDArray[np.float64], most: int, *, at_once: int = 1) -> None:
     for _ in range(most):
         if go_on[0] == 0:
             return

@@ -6,11 +6,12 @@ from contextlib import AbstractContextManager, nullcontext
 from taichi.lang import impl
 
 from .memory import DeviceArray, number
+from .runtime import on_cpu
 
 
-def repeat(body: Callable[[], None], go_on: DeviceArray, most: int) -> None:
-    for _ in range(most):
-        if number(go_on) == 0:
+def repeat(body: Callable[[], None], go_on: DeviceArray, most: int, *, at_once: int = 1) -> None:
+    for turn in range(1, most + 1):
+        if (on_cpu() or turn % at_once == 0) and number(go_on) == 0:
             return
         body()
 

@@ -161,8 +161,19 @@ def numpy(array: DeviceArray) -> NDArray[Any]:
 
 
 def number(scalar: DeviceArray) -> float:
-    with alone():
-        return float(scalar.values[0])
+    return float(run(_number_kernel(), scalar))
+
+
+@once
+def _number_kernel() -> Any:
+    """Return the kernel that returns a number: the work before it and its own wait for the device once together."""
+    real = double()
+
+    @ti.kernel
+    def number_kernel(scalar: flat(real)) -> real:
+        return scalar[0]
+
+    return number_kernel
 
 
 def _filled(array: DeviceArray, values: NDArray[Any]) -> DeviceArray:

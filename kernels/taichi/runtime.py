@@ -95,11 +95,13 @@ class DeviceArray:
         return prod(self.shape)
 
 
-_prepared: dict[tuple[Hashable, ...], Callable[..., None]] = {}
+_prepared: dict[tuple[Hashable, ...], Callable[..., Any]] = {}
 
 
-def run(kernel: Any, *arguments: Any) -> None:
+def run(kernel: Any, *arguments: Any) -> Any:
     """Launch a kernel; from the second time on without a look at the types, which takes longer than most kernels.
+
+    Return the number that it returns, if any; that waits for the device.
 
     Annotations of kernels name the types of all arguments, so that there is one compiled kernel for the values of its
     templates.
@@ -109,13 +111,13 @@ def run(kernel: Any, *arguments: Any) -> None:
         primal = kernel._primal
         key = primal, *(arguments[slot] for slot in primal.template_slot_locations)
         if key in _prepared:
-            _prepared[key](*arguments)
-        else:
-            kernel(*arguments)
-            _prepared[key] = _prepare(primal, arguments)
+            return _prepared[key](*arguments)
+        number = kernel(*arguments)
+        _prepared[key] = _prepare(primal, arguments)
+        return number
 
 
-def _prepare(primal: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
+def _prepare(primal: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
     """Return what launches a kernel that is compiled for arguments like these."""
     setters: list[tuple[int, tuple[int], str]] = []
     for place, argument in enumerate(primal.arguments):
@@ -135,12 +137,17 @@ def _prepare(primal: Any, arguments: tuple[Any, ...]) -> Callable[..., None]:
     compiled = primal.compiled_kernels[primal.func, primal.mapper.lookup(arguments)[0], primal.autodiff_mode]
     binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
 
-    def launch(*arguments: Any) -> None:
+    waits = bool(primal.return_type) and _running() == "cuda:0"  # elsewhere a launch that returns a number waits
+
+    def launch(*arguments: Any) -> Any:
         context = compiled.make_launch_context()
         for place, index, setter in setters:
             value = arguments[place]
             getattr(context, setter)(index, value.arr if setter == "set_arg_ndarray" else value)
         program.launch_kernel(binary, context)
+        if waits:
+            program.synchronize()
+        return context.get_struct_ret_float((0,)) if primal.return_type else None
 
     return launch
 

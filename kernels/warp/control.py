@@ -30,7 +30,7 @@ def _counters(pointer: int, device: str) -> tuple[Any, Any]:
     return wp.zeros(1, dtype=int, device=device), wp.zeros(1, dtype=int, device=device)
 
 
-def repeat(body: Callable[[], None], go_on: Any, most: int) -> None:
+def repeat(body: Callable[[], None], go_on: Any, most: int, *, at_once: int = 1) -> None:
     device = go_on.device
     if is_preparing():
         body()

@@ -30,9 +30,10 @@ class Control(Protocol):
         `work` is called once. Its operations may not be done: what they write is arbitrary.
         """
 
-    def repeat(self, body: Callable[[], None], go_on: Scalar, most: int) -> None:
+    def repeat(self, body: Callable[[], None], go_on: Scalar, most: int, *, at_once: int = 1) -> None:
         """Call `body` as long as `go_on` is not 0, which is looked at before each call, and at most `most` times.
 
+        Where the host would wait for a GPU to look, it looks before every `at_once`-th call only.
         `body` asks for operations only, and one of them sets `go_on`. While work is captured (`capture`) the device
         itself repeats it.
         """

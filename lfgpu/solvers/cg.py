@@ -5,6 +5,8 @@ from collections.abc import Callable, Sequence
 from lfgpu.contract import Array, Device
 from lfgpu.solvers.solution import Solution
 
+_AT_ONCE = 8  # iterations: those past the tolerance only come nearer to the solution
+
 
 class ConjugateGradients:
     """Solves A x = b for symmetric positive definite A. It runs entirely on the device, so that it can be captured.
@@ -51,7 +53,7 @@ class ConjugateGradients:
                 trace = self._residuals.report()
                 callback(len(trace) - 1, trace[-1])
 
-        k.repeat(iterate, self._residuals.go_on, self._most)
+        k.repeat(iterate, self._residuals.go_on, self._most, at_once=_AT_ONCE)
 
     def report(self) -> Solution:
         """Report the outcome of the last solve; waits for the device."""
