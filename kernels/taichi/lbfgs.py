@@ -9,14 +9,13 @@ before it is known whether it is kept.
 from collections.abc import Sequence
 from math import prod
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import taichi as ti
 
 from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
 from .runtime import TASK, double, on_cpu, once, run, start
-from .sums import add_up, share
+from .sums import BLOCK, share, summing
 
 _DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not accepted (Armijo)
 _CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
@@ -110,40 +109,10 @@ def _search_kernels() -> SimpleNamespace:
 
 
 @once
-def _stack_kernels(cpu: bool) -> SimpleNamespace:
-    """Kernels that read and write the stack [2 slots + 1, pixel]: steps, differences, the projected gradient."""
-    real = double()
-    field, numbers = flat(), flat(real)
-
-    @ti.kernel
-    def project_kernel(x: field, gradient: field, root: field, low: float, high: float, slots: int, stack: field):
-        size = x.shape[0]
-        for i in range(size):
-            stack[2 * slots * size + i] = projected(gradient[i], x[i], low, high) / root[i]
-
-    @ti.kernel
-    def advance_kernel(
-        state: numbers,
-        trial: field,
-        trial_gradient: field,
-        root: field,
-        low: float,
-        high: float,
-        slots: int,
-        stack: field,
-        x: field,
-        gradient: field,
-    ):
-        """Move x and its gradient to an accepted trial; step and difference go into the slot."""
-        size = x.shape[0]
-        for i in range(size):
-            if state[_ACCEPTED] == 1.0:
-                slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
-                stack[slot * size + i] = (trial[i] - x[i]) * root[i]
-                stack[(slots + slot) * size + i] = (trial_gradient[i] - gradient[i]) / root[i]
-                stack[2 * slots * size + i] = projected(trial_gradient[i], trial[i], low, high) / root[i]
-                x[i] = trial[i]
-                gradient[i] = trial_gradient[i]
+def _stack_kernels() -> SimpleNamespace:
+    """Kernels of the stack [2 slots + 1, pixel], steps, differences, the projected gradient, and of their units."""
+    real, sums, cpu = double(), summing(), on_cpu()
+    field, numbers, passes = flat(), flat(real), TASK if cpu else 1
 
     @ti.func
     def add_products(
@@ -165,74 +134,6 @@ def _stack_kernels(cpu: bool) -> SimpleNamespace:
         parts_out[(3 * row + 1) * parts + part] = with_difference
         parts_out[(3 * row + 2) * parts + part] = with_gradient
 
-    @ti.kernel
-    def products_kernel(state: numbers, stack: field, slots: int, parts_out: numbers):
-        rows = 2 * slots + 1
-        parts = parts_out.shape[0] // (3 * rows)
-        if ti.static(cpu):
-            for task in range(parts * TASK):
-                if task % TASK == 0 and state[_ACCEPTED] == 1.0:
-                    newest = ti.cast(state[_NEWEST], ti.i32)
-                    for row in range(rows):
-                        if in_use(row, slots, newest, ti.cast(state[_PAIRS], ti.i32)):
-                            slot = (newest + 1) % slots
-                            add_products(stack, stack.shape[0] // rows, slots, slot, row, task // TASK, parts_out)
-        else:
-            for i in range(rows * parts):
-                newest = ti.cast(state[_NEWEST], ti.i32)
-                row = i // parts
-                if state[_ACCEPTED] == 1.0 and in_use(row, slots, newest, ti.cast(state[_PAIRS], ti.i32)):
-                    slot = (newest + 1) % slots
-                    add_products(stack, stack.shape[0] // rows, slots, slot, row, i - row * parts, parts_out)
-
-    @ti.kernel
-    def combine_kernel(
-        state: numbers,
-        stack: field,
-        coefficients: numbers,
-        x: field,
-        root: field,
-        low: float,
-        high: float,
-        direction_out: field,
-    ):
-        """Sum coefficients[r] * stack[r] in the units of x, 0 where the bounds stop it or the gradient."""
-        size = x.shape[0]
-        last = coefficients.shape[0] - 1
-        for i in range(size):
-            if state[_ACCEPTED] == 1.0:
-                total = 0.0
-                if (x[i] > low and x[i] < high) or stack[last * size + i] != 0.0:
-                    for row in range(last + 1):
-                        if coefficients[row] != 0.0:
-                            total += ti.cast(coefficients[row], ti.f32) * stack[row * size + i]
-                direction_out[i] = -projected(-total / root[i], x[i], low, high)
-
-    @ti.kernel
-    def root_kernel(curvature: field, root_out: field):
-        for i in range(root_out.shape[0]):
-            root_out[i] = ti.sqrt(curvature[i])
-
-    @ti.kernel
-    def ones_kernel(root_out: field):
-        for i in range(root_out.shape[0]):
-            root_out[i] = 1.0
-
-    return SimpleNamespace(
-        root=root_kernel,
-        ones=ones_kernel,
-        project=project_kernel,
-        advance=advance_kernel,
-        products=products_kernel,
-        combine=combine_kernel,
-    )
-
-
-@once
-def _recursion_kernel() -> Any:
-    real = double()
-    numbers = flat(real)
-
     @ti.func
     def along(row: int, coefficients: ti.template(), products: ti.template()):
         """Compute the inner product of a row with the combination that the coefficients make."""
@@ -250,38 +151,68 @@ def _recursion_kernel() -> Any:
         coefficients_out[coefficients_out.shape[0] - 1] = -1.0
 
     @ti.kernel
-    def recursion_kernel(
-        totals: numbers,
+    def learn_kernel(
+        trial: field,
+        trial_gradient: field,
+        root: field,
+        low: float,
+        high: float,
         first_step: real,
         pixels: real,
-        slots: int,
-        beginning: int,
         state: numbers,
+        stack: field,
+        parts: numbers,
+        totals: numbers,
         products: numbers,
         alpha: numbers,
         coefficients: numbers,
+        x: field,
+        gradient: field,
+        direction_out: field,
         go_on_out: numbers,
     ):
-        """Compute the next direction as coefficients of the rows, its slope and step, if the trial was accepted."""
+        """Move x and its gradient to an accepted trial, and find the next direction, its slope and its step.
+
+        Step and difference go into the slot of a new pair. The direction is the sum of coefficients[r] * stack[r] in
+        the units of x, 0 where the bounds stop it or the gradient.
+        """
+        size = x.shape[0]
+        rows = coefficients.shape[0]
+        slots = rows // 2
+        count = parts.shape[0] // (3 * rows)
+        for i in range(size):
+            if state[_ACCEPTED] == 1.0:
+                slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
+                stack[slot * size + i] = (trial[i] - x[i]) * root[i]
+                stack[(slots + slot) * size + i] = (trial_gradient[i] - gradient[i]) / root[i]
+                stack[2 * slots * size + i] = projected(trial_gradient[i], trial[i], low, high) / root[i]
+                x[i] = trial[i]
+                gradient[i] = trial_gradient[i]
+        for task in range(rows * count * passes):
+            row = task // (count * passes)
+            newest = ti.cast(state[_NEWEST], ti.i32)
+            if task % passes == 0 and state[_ACCEPTED] == 1.0:
+                if in_use(row, slots, newest, ti.cast(state[_PAIRS], ti.i32)):
+                    add_products(stack, size, slots, (newest + 1) % slots, row, task // passes % count, parts)
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(3 * rows * sums.threads):
+            total = sums.total(parts, turn // sums.threads * count, count, turn)
+            if turn % sums.threads == 0:
+                totals[turn // sums.threads] = total
         if state[_ACCEPTED] == 1.0:
-            rows = 2 * slots + 1
             slot = (ti.cast(state[_NEWEST], ti.i32) + 1) % slots
-            # The new inner products go into the matrix of all; when a solver begins, all pairs are forgotten.
+            # The new inner products go into the matrix of all.
             for r in range(rows):
-                if beginning == 0:
-                    for k in range(2):
-                        new = k * slots + slot
-                        products[r * rows + new] = totals[3 * r + k]
-                        products[new * rows + r] = totals[3 * r + k]
-                products[r * rows + rows - 1] = totals[3 * r + 2]
-                products[(rows - 1) * rows + r] = totals[3 * r + 2]
-            if beginning == 0:
-                s_s = products[slot * rows + slot]
-                s_y = products[slot * rows + slots + slot]
-                y_y = products[(slots + slot) * rows + slots + slot]
-                if s_y > ti.cast(_CURVATURE, real) * ti.sqrt(s_s) * ti.sqrt(y_y):
-                    state[_NEWEST] = ti.cast(slot, real)
-                    state[_PAIRS] = ti.min(state[_PAIRS] + 1.0, ti.cast(slots - 1, real))
+                for k in range(3):
+                    new = ti.min(k * slots + slot, rows - 1)
+                    products[r * rows + new] = totals[3 * r + k]
+                    products[new * rows + r] = totals[3 * r + k]
+            s_s = products[slot * rows + slot]
+            s_y = products[slot * rows + slots + slot]
+            y_y = products[(slots + slot) * rows + slots + slot]
+            if s_y > ti.cast(_CURVATURE, real) * ti.sqrt(s_s) * ti.sqrt(y_y):
+                state[_NEWEST] = ti.cast(slot, real)
+                state[_PAIRS] = ti.min(state[_PAIRS] + 1.0, ti.cast(slots - 1, real))
             against_gradient(coefficients)
             slope = ti.cast(0.0, real)
             if state[_PAIRS] > 0.0:
@@ -313,8 +244,26 @@ def _recursion_kernel() -> Any:
                     go_on_out[0] = 0.0
             state[_SLOPE] = slope
             state[_STEP] = step
+        for i in range(size):
+            if state[_ACCEPTED] == 1.0:
+                total = 0.0
+                if (x[i] > low and x[i] < high) or stack[2 * slots * size + i] != 0.0:
+                    for row in range(rows):
+                        if coefficients[row] != 0.0:
+                            total += ti.cast(coefficients[row], ti.f32) * stack[row * size + i]
+                direction_out[i] = -projected(-total / root[i], x[i], low, high)
 
-    return recursion_kernel
+    @ti.kernel
+    def root_kernel(curvature: field, root_out: field):
+        for i in range(root_out.shape[0]):
+            root_out[i] = ti.sqrt(curvature[i])
+
+    @ti.kernel
+    def ones_kernel(root_out: field):
+        for i in range(root_out.shape[0]):
+            root_out[i] = 1.0
+
+    return SimpleNamespace(learn=learn_kernel, root=root_kernel, ones=ones_kernel)
 
 
 class _Lbfgs:
@@ -332,17 +281,17 @@ class _Lbfgs:
         most: int,
     ) -> None:
         start(device)
-        self._slots, size = memory + 1, prod(shape)
-        rows = 2 * self._slots + 1
+        slots, size = memory + 1, prod(shape)
+        rows = 2 * slots + 1
         self._bounds, self._flatness, self._scale = (low, high), (patience, tolerance), (first_step, float(size))
         self._stack, self._direction = clear(empty((rows, size))), clear(empty(shape))
         self._root = clear(empty(shape))
         self._parts = doubles(np.zeros((3 * rows, _CPU_PARTS if on_cpu() else _GPU_PARTS)))
         self._totals = doubles(np.zeros(3 * rows))
-        self._products, self._alpha = doubles(np.zeros((rows, rows))), doubles(np.zeros(self._slots))
+        self._products, self._alpha = doubles(np.zeros((rows, rows))), doubles(np.zeros(slots))
         self._coefficients, self._trace = doubles(np.zeros(rows)), doubles(np.zeros(most + 1))
         self._state, self.go_on = doubles(np.zeros(9)), scalar(1.0, device)
-        self._search, self._rows = _search_kernels(), _stack_kernels(on_cpu())
+        self._search, self._rows = _search_kernels(), _stack_kernels()
 
     def begin(
         self, x: DeviceArray, gradient: DeviceArray, value: DeviceArray, curvature: DeviceArray | None = None
@@ -352,8 +301,7 @@ class _Lbfgs:
             run(self._rows.ones, self._root)
         else:
             run(self._rows.root, curvature, self._root)
-        run(self._rows.project, x, gradient, self._root, *self._bounds, self._slots, self._stack)
-        self._turn(x, beginning=True)
+        self.learn(x, gradient, x, gradient)
 
     def propose(self, x: DeviceArray, trial_out: DeviceArray) -> None:
         run(self._search.propose, self._state, x, self._direction, *self._bounds, trial_out)
@@ -362,23 +310,14 @@ class _Lbfgs:
         run(self._search.judge, trial_value, *self._flatness, self._state, value, self._trace, self.go_on)
 
     def learn(self, x: DeviceArray, gradient: DeviceArray, trial: DeviceArray, trial_gradient: DeviceArray) -> None:
-        new = trial, trial_gradient, self._root, *self._bounds, self._slots
-        run(self._rows.advance, self._state, *new, self._stack, x, gradient)
-        self._turn(x, beginning=False)
+        told = trial, trial_gradient, self._root, *self._bounds, *self._scale
+        kept = self._parts, self._totals, self._products, self._alpha, self._coefficients
+        run(self._rows.learn, *told, self._state, self._stack, *kept, x, gradient, self._direction, self.go_on)
 
     def report(self) -> tuple[list[float], int, bool]:
         state = numpy(self._state)
         trace = numpy(self._trace)[: int(state[_LENGTH])]
         return [float(value) for value in trace], int(state[_JUDGED]), bool(state[_FLAT])
-
-    def _turn(self, x: DeviceArray, *, beginning: bool) -> None:
-        """Compute the next direction at x."""
-        run(self._rows.products, self._state, self._stack, self._slots, self._parts)
-        add_up(self._parts, self._totals)
-        kept = self._products, self._alpha, self._coefficients, self.go_on
-        run(_recursion_kernel(), self._totals, *self._scale, self._slots, int(beginning), self._state, *kept)
-        at = x, self._root, *self._bounds
-        run(self._rows.combine, self._state, self._stack, self._coefficients, *at, self._direction)
 
 
 lbfgs = _Lbfgs

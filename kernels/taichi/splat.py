@@ -1,7 +1,8 @@
 """The forward splat, the data term that is made of it, and what the reference sees of other views.
 
-A GPU gives each pixel of each view a thread, and pixels that land on the same place add up atomically. On a CPU, where
-atomics cost several times as much, a view belongs to one thread.
+A GPU gives a channel of some pixels above each other a thread, so that neighbours add to neighbouring numbers, and what
+lands on the same place adds up atomically. On a CPU, where atomics cost several times as much, a view belongs to one
+thread.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from .runtime import TASK, double, on_cpu, once, run
 from .sums import BLOCK, PARTS, add_up, share, summing
 
 _SLICES = 16  # of the views on a CPU; fixed, so that results do not depend on the number of threads
+_ROWS = 8  # of a column, which a thread of a GPU adds one after the other: what two of them add to a place it adds once
 
 
 @once
@@ -51,6 +53,16 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                 add(target, i + width, w10)
             if inside(to.x + 1, to.y + 1, height, width):
                 add(target, i + width + 1, w11)
+
+    @ti.func
+    def give_two(views: ti.template(), n: int, x: int, y: int, c: int, height: int, width: int, left, right):
+        """Add to a channel of the pixels (x, y) and (x + 1, y) of view n atomically, as far as they lie in it."""
+        if y >= 0 and y < height:
+            i = (n * height + y) * width + x
+            if x >= 0 and x < width:
+                ti.atomic_add(views[i][c], left)
+            if x >= -1 and x + 1 < width:
+                ti.atomic_add(views[i + 1][c], right)
 
     @ti.func
     def at(image: ti.template(), first: int, x: int, y: int, height: int, width: int):
@@ -126,11 +138,42 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
         width: int,
         views_out: image_type,
     ):
-        size = height * width
-        for task in range(offsets.shape[0] // 2 * tasks_of_view(size, cpu)):
-            n, first, end = share_of_view(task, size, cpu)
-            for p in range(first, end):
-                give_color(image, disparity, offsets, n, p, height, width, softness, n * size, views_out)
+        for i in range(views_out.shape[0]):
+            views_out[i] = pixel(0.0)
+        if ti.static(cpu):
+            for task in range(offsets.shape[0] // 2 * TASK):
+                n, first, end = share_of_view(task, height * width, cpu)
+                for p in range(first, end):
+                    give_color(image, disparity, offsets, n, p, height, width, softness, n * height * width, views_out)
+        else:
+            strips = (height + _ROWS - 1) // _ROWS
+            for i in range(offsets.shape[0] // 2 * strips * width * channels):
+                n = i // (strips * width * channels)
+                top = i // (width * channels) % strips * _ROWS
+                x = i // channels % width
+                c = i % channels
+                # What the pixel before gives to the two places below it.
+                left = 0.0
+                right = 0.0
+                at_x = 0
+                at_y = -1
+                for y in range(top, ti.min(top + _ROWS, height)):
+                    p = y * width + x
+                    to = land(x, y, disparity[p], offsets[2 * n], offsets[2 * n + 1])
+                    wx = tent(to.ax, softness)
+                    wy = tent(to.ay, softness)
+                    if to.x != at_x or to.y != at_y:
+                        give_two(views_out, n, at_x, at_y, c, height, width, left, right)
+                        left = 0.0
+                        right = 0.0
+                    value = image[p][c] * wx
+                    beside = image[p][c] * (1.0 - wx)
+                    give_two(views_out, n, to.x, to.y, c, height, width, left + value * wy, right + beside * wy)
+                    left = value * (1.0 - wy)
+                    right = beside * (1.0 - wy)
+                    at_x = to.x
+                    at_y = to.y + 1
+                give_two(views_out, n, at_x, at_y, c, height, width, left, right)
 
     @ti.kernel
     def coverage_kernel(
@@ -147,19 +190,39 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                 give(coverage_out, n * size, to, height, width, a, b, c, d)
 
     @ti.kernel
-    def vjp_kernel(
+    def compare_kernel(
         image: image_type,
         disparity: field,
-        residual: image_type,
+        recorded: stored_image,
+        valid: field,
+        masked: ti.template(),
         offsets: field,
+        scale: float,
         softness: float,
         height: int,
         width: int,
+        residuals: image_type,
+        squares: flat(real),
         gradient_out: field,
+        value_out: flat(real),
     ):
+        """Turn predicted views into residuals, add up their squares, and follow them back to the reference."""
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.turns):
+            i, step, end = share(turn, sums.turns, recorded.shape[0], sums.cpu)
+            term = ti.cast(0.0, real)
+            while i < end:
+                value = difference(residuals[i], recorded, valid, masked, i, scale)
+                residuals[i] = value
+                term += ti.cast(value.norm_sqr(), real)
+                i += step
+            sums.keep(term, turn, squares)
+        ti.loop_config(block_dim=BLOCK)
+        for turn in range(sums.threads):
+            total = sums.total(squares, 0, PARTS, turn)
+            if turn == 0:
+                value_out[0] = total
         for p in range(height * width):
-            x = p % width
-            y = p // width
             total = 0.0
             for n in range(offsets.shape[0] // 2):
                 total += slope_of(
@@ -167,36 +230,15 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
                     disparity[p],
                     offsets[2 * n],
                     offsets[2 * n + 1],
-                    x,
-                    y,
-                    residual,
+                    p % width,
+                    p // width,
+                    residuals,
                     n * height * width,
                     height,
                     width,
                     softness,
                 )
             gradient_out[p] = 2.0 * total
-
-    @ti.kernel
-    def residual_kernel(
-        recorded: stored_image,
-        valid: field,
-        masked: ti.template(),
-        scale: float,
-        views_out: image_type,
-        squares_out: flat(real),
-    ):
-        """Turns predicted views into residuals."""
-        ti.loop_config(block_dim=BLOCK)
-        for turn in range(sums.turns):
-            i, step, end = share(turn, sums.turns, recorded.shape[0], sums.cpu)
-            term = ti.cast(0.0, real)
-            while i < end:
-                value = difference(views_out[i], recorded, valid, masked, i, scale)
-                views_out[i] = value
-                term += ti.cast(value.norm_sqr(), real)
-                i += step
-            sums.keep(term, turn, squares_out)
 
     @ti.kernel
     def slice_kernel(
@@ -263,8 +305,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     return SimpleNamespace(
         splat=splat_kernel,
         coverage=coverage_kernel,
-        vjp=vjp_kernel,
-        residual=residual_kernel,
+        compare=compare_kernel,
         slice=slice_kernel,
         total=total_kernel,
         curvature=curvature_kernel,
@@ -281,7 +322,7 @@ def splat(
     coverage_out: DeviceArray,
 ) -> None:
     kernels = _kernels(image.channels, ti.f32, on_cpu())
-    run(kernels.splat, image, disparity, offsets, softness, *image.shape, clear(views_out))
+    run(kernels.splat, image, disparity, offsets, softness, *image.shape, views_out)
     run(kernels.coverage, disparity, offsets, softness, *image.shape, clear(coverage_out))
 
 
@@ -303,23 +344,19 @@ class _DataTerm:
         self._kernels = _kernels(self._channels, recorded.scalar, self._cpu)
 
     def __call__(self, disparity: DeviceArray, gradient_out: DeviceArray, value_out: DeviceArray) -> None:
-        (self._in_slices if self._cpu else self._at_once)(disparity, gradient_out)
-        add_up(self._squares, value_out)
+        kernels, size = self._kernels, disparity.shape
+        compared = self._image, disparity, self._recorded, *self._valid, self._offsets, self._scale, self._softness
+        if self._cpu:
+            kept = self._residuals, self._gradients, self._squares
+            run(kernels.slice, *compared, *size, self._slices, *kept)
+            run(kernels.total, self._gradients, self._slices, gradient_out)
+            add_up(self._squares, value_out)
+        else:
+            run(kernels.splat, self._image, disparity, self._offsets, self._softness, *size, self._residuals)
+            run(kernels.compare, *compared, *size, self._residuals, self._squares, gradient_out, value_out)
 
     def curvature(self, curvature_out: DeviceArray) -> None:
         run(self._kernels.curvature, self._image, self._curvature, curvature_out)
-
-    def _in_slices(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
-        views = self._image, disparity, self._recorded, *self._valid, self._offsets
-        numbers = self._scale, self._softness, *disparity.shape, self._slices
-        run(self._kernels.slice, *views, *numbers, self._residuals, self._gradients, self._squares)
-        run(self._kernels.total, self._gradients, self._slices, gradient_out)
-
-    def _at_once(self, disparity: DeviceArray, gradient_out: DeviceArray) -> None:
-        residuals, options = clear(self._residuals), (self._offsets, self._softness, *disparity.shape)
-        run(self._kernels.splat, self._image, disparity, *options, residuals)
-        run(self._kernels.residual, self._recorded, *self._valid, self._scale, residuals, self._squares)
-        run(self._kernels.vjp, self._image, disparity, residuals, *options, gradient_out)
 
 
 data_term = _DataTerm
