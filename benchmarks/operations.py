@@ -119,7 +119,7 @@ def _frames(preset: str, lf: LightField, device: Device, arrays: tuple[type, ...
         work(None)
     yield preset, list(log)
     if method.is_live and device.kernels.streaming is not None:
-        used = lf.subset(method.used_views(lf.layout))
+        used = lf.subset(method.used_views(lf.offsets))
         streaming: Any = _Noting(device.kernels.streaming, log, results)
         plan = method.live_plan(used.layout, measured, watched, streaming=streaming, prior=TemporalPrior())
         views = device.image(used.views)

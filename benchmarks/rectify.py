@@ -121,7 +121,7 @@ def _measured(
     seconds: float,
 ) -> Row:
     rectified = rectifier.rectified(pictures, device)
-    used = method_of(preset).used_views(rectified.layout)
+    used = method_of(preset).used_views(rectified.offsets)
 
     def timed(**options: Any) -> float:
         work = DeviceViews(rectifier, pictures, device, **options).work

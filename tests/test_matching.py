@@ -191,14 +191,14 @@ def test_apertures_lie_around_the_reference() -> None:
 @pytest.mark.parametrize(("pattern", "count"), [("full", 25), ("star", 17), ("cross", 9)])
 def test_the_views_of_a_pattern_are_used(pattern: str, count: int) -> None:
     lf = scene("planes", size=32)
-    used = used_views(lf.layout, pattern)
+    used = used_views(lf.offsets, pattern)
     assert len(used) == count
     assert lf.reference_index in used
 
 
 def test_all_views_are_used_where_a_pattern_leaves_too_few() -> None:
     lf = scene("planes", views=3, size=32).subset([0, 2, 4, 6, 8])
-    assert used_views(lf.layout, "cross") == [0, 1, 2, 3, 4]
+    assert used_views(lf.offsets, "cross") == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("preset", ["accurate", "fast"])

@@ -307,7 +307,7 @@ def run(height, width):
     lf = LightField.from_grid(views)
     method = method_of(name)
     measured = Measured((-1.5, 1.5), 0.01)
-    used = lf.subset(method.used_views(lf.layout))
+    used = lf.subset(method.used_views(lf.offsets))
     del lf, views
     pipeline = DepthPipeline(used, config=name, measured=measured, device=device)
     pipeline.estimate()

@@ -140,8 +140,12 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
 
 def _read(item: Item, settings: Settings) -> LightField:
     from lfgpu.io import read
+    from lfgpu.pipelines.verdict import needed_views
 
-    lf = read(item.source, **{**settings.reading, **({} if item.frame is None else {"frame": item.frame})})
+    options = {**settings.reading, **({} if item.frame is None else {"frame": item.frame})}
+    if settings.place is None and not settings.report:
+        options["needed"] = needed_views(settings.config, settings.pattern)
+    lf = read(item.source, **options)
     if settings.place is not None:
         lf = lf.with_reference(lf.index_of(*settings.place))
     return lf if settings.pattern == "full" else lf.subset(settings.pattern)

@@ -6,6 +6,7 @@ view is moved, turned, scaled and brightened. Without a map the disparities of t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -54,10 +55,11 @@ _EFFORTS: dict[Budget, _Effort] = {
     "full": _Effort(5000, 5, colours=True, signs=True),
 }
 
+_SEEN = 25  # views, the least with a map, and the most without one
 _VIEWS, _PIXELS = 33, 4_000_000  # of the part that a look with a map may be limited to
 
 # Without a map:
-_SEEN, _SEEN_PIXELS = 25, 2_000_000  # views, and pixels of all of them
+_SEEN_PIXELS = 2_000_000  # of all views
 _POINTS = 400
 _SWEPT = 12  # views that disparities are found from
 _LEAST = 100  # points at which views agree
@@ -80,20 +82,23 @@ def look(
     device: Device,
     *,
     budget: Budget,
+    seen: Sequence[int] | NDArray[np.intp] | None = None,
     in_part: bool = False,
 ) -> Look | None:
     """Look at the cameras of a light field; None if nothing can be wrong by the screening, or the views do not tell.
 
     Without a map [y, x] of the reference view the budget is "screen", and the look finds faults of all cameras
-    together: out of line, of different brightness, one axis with the wrong sign. `in_part` looks at 33 of the views and
-    at their middle, 4 million pixels in all: faults of other single views stay hidden. Others wait for the device
-    meanwhile.
+    together: out of line, of different brightness, one axis with the wrong sign. With one, it looks at the views
+    `seen`, by default all. `in_part` looks at 33 of these and at their middle, 4 million pixels in all: faults of other
+    single views stay hidden. Others wait for the device meanwhile.
     """
     if disparity is None:
         return _look_without_map(lf, device)
     if in_part:
-        lf, window = part_of(lf, views=_VIEWS, pixels=_PIXELS)
+        lf, window = part_of(lf, views=_VIEWS, pixels=_PIXELS, among=seen)
         disparity = disparity[window]
+    elif seen is not None:
+        lf = lf.subset(seen)
     if budget == "screen" and not worth_a_look(lf, disparity):
         return None
     effort = _EFFORTS[budget]
@@ -105,6 +110,16 @@ def look(
     moved = placement(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
     bright = brightness(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
     return _made(lf, cameras, len(points.x), moved, bright, wrong)
+
+
+def seen_views(offsets: Float64Array, used: Sequence[int]) -> NDArray[np.intp]:
+    """Choose the views that a look sees: those that a map is made from, and if these are few others, 25 in all.
+
+    Among the chosen views it chooses all. `offsets` [n, 2] are those of all views.
+    """
+    others = np.setdiff1d(np.arange(len(offsets)), used)
+    drawn = np.random.default_rng(0).permutation(others)[: max(0, _SEEN - len(used))]
+    return np.union1d(used, drawn)
 
 
 def _look_without_map(lf: LightField, device: Device) -> Look | None:
@@ -147,13 +162,15 @@ def _made(
     return Look(**vars(cameras), points=points, findings=findings, moved=moved, signs=wrong)
 
 
-def part_of(lf: LightField, *, views: int, pixels: int) -> tuple[LightField, tuple[slice, slice]]:
-    """Take some of the views, and a window in their middle; returns that light field, and rows and columns.
+def part_of(
+    lf: LightField, *, views: int, pixels: int, among: Sequence[int] | NDArray[np.intp] | None = None
+) -> tuple[LightField, tuple[slice, slice]]:
+    """Take some of the views `among` all, and a window in their middle; returns that light field, and rows and columns.
 
     The reference is among the at most `views` views; the others are drawn, the same in every run, so that a fault that
     many views have is found in them. The window is such that all of them have at most `pixels` pixels.
     """
-    others = np.flatnonzero(np.arange(len(lf.views)) != lf.reference_index)
+    others = np.setdiff1d(np.arange(len(lf.views)) if among is None else among, lf.reference_index)
     drawn = np.random.default_rng(0).permutation(others)[: views - 1]
     chosen = [int(n) for n in np.sort(np.append(drawn, lf.reference_index))]
     height, width = lf.size

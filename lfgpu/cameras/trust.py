@@ -29,7 +29,7 @@ def trusted(lf: LightField, result: DepthResult, found: Look) -> DepthResult:
         return result
     from scipy.special import erf  # slow to import, and rarely needed
 
-    spread = _spread(lf, found, method_of(result.config).used_views(lf.layout))
+    spread = _spread(lf, found, method_of(result.config).used_views(lf.offsets))
     uncertainty = None if result.uncertainty is None else np.hypot(result.uncertainty, spread)
     share = erf(_WITHIN / (np.sqrt(2) * np.maximum(spread, 1e-9))).astype(np.float32)
     return replace(result, confidence=result.confidence * share, uncertainty=uncertainty)

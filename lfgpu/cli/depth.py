@@ -83,6 +83,7 @@ def depth(
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
+    from lfgpu.pipelines.verdict import needed_views
 
     check_writable(out)
     check_names("--save", saved or ())
@@ -94,8 +95,9 @@ def depth(
             raise LightFieldError(
                 "--max-memory works for the map of one view only; leave out --max-memory or --all-views."
             )
-    chosen.place()
     options = reading.options()
+    if chosen.place() is None and not all_views and not report:
+        options["needed"] = needed_views(config, chosen.pattern)
     if computing.device is not None or computing.backend != DEFAULT:
         estimation.check_device()  # what was asked for is checked before anything is read
 

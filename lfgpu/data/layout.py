@@ -64,20 +64,7 @@ class ViewLayout:
 
     def pattern(self, name: str) -> NDArray[np.bool_]:
         """Membership of each view in one of the `PATTERNS` through the reference view, bool [n]."""
-        du, dv = np.abs(self.offsets).T
-        in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
-        match name:
-            case "full":
-                return np.ones(self.count, np.bool_)
-            case "star":
-                return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
-            case "cross":
-                return in_row | in_column
-            case "row":
-                return in_row
-            case "column":
-                return in_column
-        raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
+        return in_pattern(self.offsets, name)
 
     def chosen(self, which: str | Sequence[int] | NDArray[Any]) -> NDArray[np.intp]:
         """Find the indices of the views that a subset keeps, in order; the reference view is always kept.
@@ -123,6 +110,24 @@ class ViewLayout:
     def _line(self, axis: int) -> NDArray[np.intp]:
         on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
         return on_line[np.argsort(self.offsets[on_line, axis])]
+
+
+def in_pattern(offsets: NDArray[np.float64], name: str) -> NDArray[np.bool_]:
+    """Membership of the views at `offsets` [n, 2] in one of the `PATTERNS` through the reference view, bool [n]."""
+    du, dv = np.abs(offsets).T
+    in_row, in_column = dv < _LINE_TOLERANCE, du < _LINE_TOLERANCE
+    match name:
+        case "full":
+            return np.ones(len(offsets), np.bool_)
+        case "star":
+            return in_row | in_column | (np.abs(du - dv) < _LINE_TOLERANCE)
+        case "cross":
+            return in_row | in_column
+        case "row":
+            return in_row
+        case "column":
+            return in_column
+    raise LightFieldError(f"unknown view pattern {name!r}; use one of {', '.join(PATTERNS)}.")
 
 
 def farthest(offsets: NDArray[np.float64]) -> float:

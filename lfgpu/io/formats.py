@@ -40,6 +40,7 @@ from lfgpu.io.damage import check_fetched
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
+from lfgpu.io.grid import Needed, in_part
 from lfgpu.io.taken import check_unit, in_unit, told
 
 
@@ -228,6 +229,7 @@ def read(
     transpose: bool = False,
     flip: str = "",
     lazy: bool = False,
+    needed: Needed | None = None,
 ) -> LightField:
     """Read a light field from files.
 
@@ -273,6 +275,12 @@ def read(
         Whether views stay on disk. Then `views` is mapped from a file, and only what is looked at takes memory. Folders
         of images are unpacked into a temporary file (in `TMPDIR`), .npy files are mapped as they are, and other formats
         are read into memory. Default False.
+    needed
+        Function of the offsets [n, 2] of all views from the reference, as `LightField.offsets`, that returns the
+        indices of those that are needed, in order and with the reference. Where images are the views of a grid, the
+        files of others are not opened, and the light field lacks them. All are read if those that are needed have
+        masks, use fewer bits than their type or contradict the places of their cameras, and with `order`, `transpose`
+        or `flip`. Default None: all.
 
     Returns
     -------
@@ -312,7 +320,14 @@ def read(
             raise LightFieldError(f"{name} must be a text, not {text!r:.60}.")
     chosen = chosen_format(path, format, pattern)[0]
     check_exists(path)
-    given = {"grid": grid, "order": order, "every": every, "pattern": pattern, "frame": frame, "axes": axes}
+    given: dict[str, Any] = {
+        "grid": grid,
+        "order": order,
+        "every": every,
+        "pattern": pattern,
+        "frame": frame,
+        "axes": axes,
+    }
     options: dict[str, Any] = {name: value for name, value in {**given, "unit": unit}.items() if value is not None}
     for name in options:
         if name not in chosen.takes:
@@ -321,15 +336,19 @@ def read(
         options.pop(name, None)
     if allow_missing and _MISSING in chosen.takes:
         options[_MISSING] = True
-    with on_disk(lazy):
+    order = order or ORDERS[0]
+    with on_disk(lazy), in_part(None if transpose or flip or order != ORDERS[0] else needed) as part:
         found = chosen.read(path, **options)
-        found = reordered(found, order or ORDERS[0])
+        found = reordered(found, order)
         found = flipped(transposed(found) if transpose else found, flip)
         found = in_unit(found, unit) if "unit" in chosen.takes else found
         found = without_black_corners(with_white(found))
-        found = _checked(told(found, chosen.name, order=order or ORDERS[0], transpose=transpose, flip=flip))
+        found = told(found, chosen.name, order=order, transpose=transpose, flip=flip)
+        doubts = contradictions(found)
+    if part.left_out and (doubts or found.valid is not None or found.white is not None):
+        return read(path, format=format, allow_missing=allow_missing, lazy=lazy, **given, unit=unit)  # all views tell
     forget(found.views)
-    return found
+    return replace(found, notes=(*found.notes, *doubts))
 
 
 def check_grid_option(grid: object, order: object) -> None:
@@ -350,11 +369,6 @@ def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> t
         return _named("camera-row"), f"because the pattern {pattern} names its images"
     found, reason = recognise(path)
     return found, f"because {reason}"
-
-
-def _checked(light_field: LightField) -> LightField:
-    """Add a note if the pictures contradict the positions of their cameras."""
-    return replace(light_field, notes=(*light_field.notes, *contradictions(light_field)))
 
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:

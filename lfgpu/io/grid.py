@@ -1,11 +1,14 @@
 """Files at places of a grid as a light field: duplicates, holes and the centre are what can be wrong with it."""
 
-from collections.abc import Collection, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -13,6 +16,31 @@ from lfgpu.io.views import load_views
 
 Place: TypeAlias = tuple[int, int]
 """(row, column) in a grid, from 0."""
+
+Needed: TypeAlias = Callable[[NDArray[np.float64]], Sequence[int] | NDArray[np.intp]]
+"""Chooses views by their offsets [n, 2] from the reference view: indices in order, the reference among them."""
+
+
+@dataclass
+class Part:
+    """Choice of the views of a grid that are read, and whether it left out any."""
+
+    needed: Needed | None
+    left_out: bool = False
+
+
+_PART: ContextVar[Part | None] = ContextVar("views that are read", default=None)
+
+
+@contextmanager
+def in_part(needed: Needed | None) -> Iterator[Part]:
+    """Have readers of grids in this block leave out the files of views that are not needed; None: all are needed."""
+    token = _PART.set(part := Part(needed))
+    try:
+        yield part
+    finally:
+        _PART.reset(token)
+
 
 _NAMED_HOLES = 5  # so many missing places are named in a message
 
@@ -36,19 +64,26 @@ def read_grid(
     *,
     folder: Path,
     allow_missing: bool,
+    reference: Place | None = None,
     notes: Collection[str] = (),
 ) -> LightField:
     """Read files at places of a grid (rows, columns); the light field is named after the folder, as messages are.
 
-    `allow_missing` accepts holes that look like an accident (see `holes`). `notes` come before what is noticed here.
+    The view at the place `reference`, by default the centre, is the reference. `allow_missing` accepts holes that look
+    like an accident (see `holes`). `notes` come before what is noticed here.
     """
     if len(files) < 2:
         only = next(iter(files.values())).name
         raise LightFieldError(f"{folder} has one view only ({only}); depth needs at least two views of the scene.")
     places = sorted(files)
     hole_notes = holes(places, shape, folder=folder, allow_missing=allow_missing)
+    centre = reference or (shape[0] // 2, shape[1] // 2)
+    part = _PART.get()
+    if part is not None and part.needed is not None and centre in files:
+        kept = part.needed(np.subtract(places, centre, dtype=np.float64)[:, ::-1])
+        part.left_out = len(kept) < len(places)
+        places = [places[index] for index in kept]
     views, valid, image_notes = load_views([files[place] for place in places])
-    centre = (shape[0] // 2, shape[1] // 2)
     light_field = LightField(
         views,
         np.array([(column, row) for row, column in places], np.float64),

@@ -302,19 +302,18 @@ def _read_grid(
             f"{path} has images numbered up to {max(max(a) for a in axes)}; that is no grid of cameras."
         )
     places = [((r - row) // step, (c - column) // step) for r, c in zip(rows.values, columns.values, strict=True)]
+    zero = (-row // step, -column // step)
     light_field = read_grid(
         by_place(zip(places, naming.files, strict=True)),
         shape,
         folder=path,
         allow_missing=allow_missing,
+        reference=zero if min(row, column) < 0 and zero in places else None,
         notes=notes,
     )
     why = f"{naming.sentence(path)}; rows count from {row}, columns from {column}"
     why += f", in steps of {step}" * (step > 1)
-    light_field = replace(light_field, reading=replace(light_field.reading, places=why))
-    if min(row, column) < 0 and (0, 0) in zip(rows.values, columns.values, strict=True):
-        return light_field.with_reference(light_field.index_of(-row // step, -column // step))
-    return light_field
+    return replace(light_field, reading=replace(light_field.reading, places=why))
 
 
 def _step(*axes: set[int]) -> int:

@@ -14,7 +14,7 @@ from typing import ClassVar, Generic, Protocol, TypeAlias, TypeVar
 import numpy as np
 
 from lfgpu.config import Config
-from lfgpu.contract import Array, Device, Float32Array, Scalar, Streaming
+from lfgpu.contract import Array, Device, Float32Array, Float64Array, Scalar, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -208,9 +208,9 @@ class Method(ABC, Generic[C]):
 
     # --- what it uses ---
 
-    def used_views(self, layout: ViewLayout) -> list[int]:
-        """Indices of the views that it reads, in order."""
-        return list(range(layout.count))
+    def used_views(self, offsets: Float64Array) -> list[int]:
+        """Indices of the views that it reads, in order, by their offsets [n, 2] from the reference view."""
+        return list(range(len(offsets)))
 
     def footprint(self, layout: ViewLayout, measured: Measured, *, on_gpu: bool) -> Footprint:
         """Foresee the memory of a pipeline for light fields of one kind, whose views are on disk.
@@ -218,7 +218,7 @@ class Method(ABC, Generic[C]):
         It is the memory of a GPU if `on_gpu`, else that of the process: the views that are used, and what a dry run of
         the plan counts.
         """
-        used = layout.subset(self.used_views(layout))
+        used = layout.subset(self.used_views(layout.offsets))
         views = used.count * used.channels * used.dtype.itemsize
         masks = 0 if used.masks is None else used.count
         host = 0 if on_gpu else views + masks  # the tile as it was cut out

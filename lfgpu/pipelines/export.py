@@ -122,7 +122,7 @@ def export_pipeline(
     pictures = lf
     if rectifier is not None:
         lf = rectifier.rectified(pictures, place)
-    used = method.used_views(lf.layout)
+    used = method.used_views(lf.offsets)
     with limited_threads(1):  # the work of other threads would not be recorded
         with place.asking():
             measured, _ = measured_on(

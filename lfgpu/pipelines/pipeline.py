@@ -109,7 +109,7 @@ class DepthPipeline:
         self._graph: Callable[[], None] | None = None
         self._is_loaded = False  # whether the plan has run, which loads all kernels
         self._begin(lf, is_found=measured is None and disparity_range is None)
-        used = self.method.used_views(lf.layout)  # no others go to the device
+        used = self.method.used_views(lf.offsets)  # no others go to the device
         self._used = used if len(used) < len(lf.views) else None
         self._layout = lf.layout if self._used is None else lf.layout.subset(used)
         with self._device.asking():

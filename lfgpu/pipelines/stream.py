@@ -134,7 +134,7 @@ class DepthStream:
         self.device = place.name
         lf = pictures if rectifier is None else rectifier.rectified(pictures, place)
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
-        self._used, self._rectifier = method.used_views(lf.layout), rectifier
+        self._used, self._rectifier = method.used_views(lf.offsets), rectifier
         self._intake = Intake(lf, self._used, self.device)
 
         with place.asking():

@@ -62,7 +62,7 @@ class Engine:
         budget_ms: float | None,
         results: int,
     ) -> None:
-        used = method.used_views(lf.layout)
+        used = method.used_views(lf.offsets)
         self.like = lf if len(used) == len(lf.views) else lf.subset(used)
         """The first frame, with the views that are used."""
         self.has_prior, self._device, self._budget = prior is not None, device, budget_ms

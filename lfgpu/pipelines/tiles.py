@@ -142,7 +142,7 @@ def _estimate_all(
     on_progress: Progress | None,
 ) -> list[DepthResult | None]:
     """Estimate each tile; None if a tile has no estimate. Each device takes the next tile when it is free."""
-    used = method.used_views(lf.layout)
+    used = method.used_views(lf.offsets)
     results: list[DepthResult | None] = [None] * len(plan.starts)
     left: queue.SimpleQueue[int] = queue.SimpleQueue()
     for index in range(len(plan.starts)):

@@ -10,14 +10,18 @@ alone gives (`map_notes`).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, open_device
-from lfgpu.cameras.looking import Look, checked_map, look
+from lfgpu.cameras.looking import Look, checked_map, look, seen_views
 from lfgpu.cameras.trust import trusted
-from lfgpu.contract import Device, Float32Array
+from lfgpu.config import Config
+from lfgpu.contract import Device, Float32Array, Float64Array
+from lfgpu.data.layout import in_pattern
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
@@ -93,7 +97,8 @@ def judged(
         Look at the cameras. It takes a fraction of a second where nothing can be wrong, and a few seconds else. Default
         True.
     in_part
-        Look at 33 of the views and at their middle only, 4 million pixels in all. Default False: all views.
+        Look at 33 views at most, and at their middle only, 4 million pixels in all. Default False: at all views that
+        the map is made from, and at 25 at least.
 
     Returns
     -------
@@ -118,9 +123,20 @@ def judged(
         open_device(backend, device),
         disparity_range=disparity_range,
         check_cameras=check_cameras,
+        seen=seen_views(lf.offsets, method_of(result.config).used_views(lf.offsets)),
         in_part=in_part,
     )
     return found.on(lf, result)
+
+
+def needed_views(config: Config, pattern: str = "full") -> Callable[[Float64Array], NDArray[np.intp]]:
+    """Return the rule for `lfgpu.read` that chooses the views of a pattern that an estimate and its verdict need."""
+
+    def rule(offsets: Float64Array) -> NDArray[np.intp]:
+        kept = np.flatnonzero(in_pattern(offsets, pattern))
+        return kept[seen_views(offsets[kept], method_of(config).used_views(offsets[kept]))]
+
+    return rule
 
 
 def verdict_of(
@@ -130,16 +146,20 @@ def verdict_of(
     *,
     disparity_range: tuple[float, float] | None,
     check_cameras: bool = True,
+    seen: NDArray[np.intp] | None = None,
     in_part: bool = False,
 ) -> Verdict:
-    """Judge a light field by a result of its reference view; parameters and errors are those of `judged`."""
+    """Judge a light field by a result of its reference view, the cameras by the views `seen`, by default all.
+
+    Other parameters, and the errors, are those of `judged`.
+    """
     if (still := no_parallax(lf)) is not None:
         return Verdict(f"{still} The map means nothing.", shows_nothing=True)
     found = _on_range(lf, disparity_range, device)
     if found.note is not None or not check_cameras or not np.isfinite(result.disparity).any():
         return found  # by a map that is wrong everywhere, right cameras look askew
     disparity = checked_map(lf, result)
-    return replace(found, cameras=look(lf, disparity, device, budget="screen", in_part=in_part))
+    return replace(found, cameras=look(lf, disparity, device, budget="screen", seen=seen, in_part=in_part))
 
 
 def views_alone(lf: LightField, device: Device) -> tuple[tuple[str, ...], tuple[str, ...]]:

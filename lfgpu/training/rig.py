@@ -76,7 +76,7 @@ def measured_rig(light_fields: Sequence[LightField], *, backend: str, device: st
     arrays, low, high, grains, levels = [], math.inf, -math.inf, [], []
     method = method_of("learned")
     for lf in light_fields:
-        layout = lf.layout.subset(method.used_views(lf.layout))
+        layout = lf.layout.subset(method.used_views(lf.offsets))
         offsets = np.delete(layout.offsets, layout.reference, 0)
         arrays.append(tuple((float(du), float(dv)) for du, dv in offsets / np.abs(offsets).max()))
         measured, _ = measured_on(lf, config="learned", disparity_range=None, backend=backend, device=device)

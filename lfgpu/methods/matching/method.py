@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Streaming
+from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Float64Array, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
@@ -53,8 +53,8 @@ class Matching(Method[MatchingConfig]):
     def iterations(self, stage: str) -> int | None:
         return self.config.alignment.iterations if stage == "align" else None
 
-    def used_views(self, layout: ViewLayout) -> list[int]:
-        return used_views(layout, self.config.sweep.views)
+    def used_views(self, offsets: Float64Array) -> list[int]:
+        return used_views(offsets, self.config.sweep.views)
 
     def seen(self, lf: LightField) -> Seen | None:
         if self.config.sweep.noise:
@@ -84,7 +84,7 @@ class Matching(Method[MatchingConfig]):
         return self.config.tuning.alignment.support / layout.farthest
 
     def doubt(self, layout: ViewLayout, bounds: tuple[float, float]) -> str | None:
-        config, farthest = self.config.sweep, layout.subset(self.used_views(layout)).farthest
+        config, farthest = self.config.sweep, layout.subset(self.used_views(layout.offsets)).farthest
         step = farthest * compared_disparities(bounds, farthest, config).step
         if math.isclose(step, config.step):
             return None

@@ -98,7 +98,7 @@ def measured_noise(
     """
     kernels = device.kernels
     lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
-    lf = lf.subset(used_views(lf.layout, "cross"))
+    lf = lf.subset(used_views(lf.offsets, "cross"))
     layout = lf.layout
     frame = Frame(
         Arena(device),

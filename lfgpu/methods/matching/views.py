@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from lfgpu.contract import Float64Array
-from lfgpu.data.layout import ViewLayout
+from lfgpu.data.layout import ViewLayout, in_pattern
 
 ViewRule = Callable[[ViewLayout, str], list[int]]
 """Chooses views of a layout, given `sweep.views`: indices in order, the reference among them."""
@@ -19,10 +19,10 @@ _CHESSBOARD = {"alternate": 40, "cross": 9}  # views that must be left of the fi
 _EVERY_OTHER = {"alternate": 25}  # views that must be left of every other row and column, by `sweep.views`
 
 
-def used_views(layout: ViewLayout, pattern: str) -> list[int]:
+def used_views(offsets: Float64Array, pattern: str) -> list[int]:
     """Choose the views of a pattern, or all views if fewer than four beside the reference are in it."""
-    used = np.flatnonzero(layout.pattern("full" if pattern == "alternate" else pattern))
-    return _indices(used) if len(used) > _FEWEST else _all(layout, pattern)
+    used = np.flatnonzero(in_pattern(offsets, "full" if pattern == "alternate" else pattern))
+    return _indices(used if len(used) > _FEWEST else np.arange(len(offsets)))
 
 
 def compared_views(layout: ViewLayout, pattern: str) -> list[int]:
@@ -40,7 +40,7 @@ def compared_views(layout: ViewLayout, pattern: str) -> list[int]:
 
 def cross_views(layout: ViewLayout, pattern: str) -> list[int]:
     """Choose the views in the reference's row and column, or all if fewer than four beside the reference are there."""
-    return used_views(layout, "cross")
+    return used_views(layout.offsets, "cross")
 
 
 def every_other_view(layout: ViewLayout, pattern: str) -> list[int]:
@@ -81,7 +81,7 @@ class ChosenViews:
 
 def chosen_views(layout: ViewLayout, pattern: str) -> ChosenViews:
     """Apply `sweep.views` to a layout."""
-    given = used_views(layout, pattern)
+    given = used_views(layout.offsets, pattern)
     used = layout.subset(given)
     chosen = compared_views(used, pattern)
     return ChosenViews(
