@@ -98,7 +98,7 @@ html_theme_options = {
     "navbar_align": "left",
     "show_toc_level": 2,
     "show_prev_next": True,
-    "secondary_sidebar_items": {"**": ["page-toc"], "index": []},
+    "secondary_sidebar_items": {"**": ["page-toc"], "index": [], "formats": [], "paper": []},  # these have wide tables
     "icon_links": [
         {"name": "Source", "url": "https://github.com/lfgpu/lfgpu", "icon": "fa-brands fa-github"},
     ],
