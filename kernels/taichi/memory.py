@@ -127,16 +127,18 @@ def upload(values: NDArray[Any], array_out: DeviceArray, *, chosen: Sequence[int
     for some in np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1):  # those that lie together
         part = np.ascontiguousarray(given[some[0] : some[-1] + 1], to_numpy_type(array_out.scalar))
         pixels = part.reshape(-1, array_out.channels)
-        run(_copy_kernel(array_out.channels, array_out.scalar), pixels, first, array_out)
+        run(_copy_kernel(array_out.scalar, array_out.channels), pixels, first, array_out)
         first += len(pixels)
 
 
 @once
-def _copy_kernel(channels: int, stored: Any) -> Any:
+def _copy_kernel(stored: Any, channels: int | None = None) -> Any:
+    """Return the kernel that copies from the host to the device, and back."""
+
     @ti.kernel
-    def copy_kernel(values: flat(stored, channels), first: int, image_out: flat(stored, channels)):
+    def copy_kernel(values: flat(stored, channels), first: int, values_out: flat(stored, channels)):
         for p in range(values.shape[0]):
-            image_out[first + p] = values[p]
+            values_out[first + p] = values[p]
 
     return copy_kernel
 
@@ -155,8 +157,9 @@ def clear(array_out: DeviceArray) -> DeviceArray:
 
 
 def numpy(array: DeviceArray) -> NDArray[Any]:
-    with alone():
-        values: NDArray[Any] = array.values.to_numpy()
+    elements = array.values.element_shape
+    values: NDArray[Any] = np.empty(array.values.shape + elements, to_numpy_type(array.scalar))
+    run(_copy_kernel(array.scalar, *elements), array, 0, values)  # Taichi's own copy waits twice
     return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels))
 
 
