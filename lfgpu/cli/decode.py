@@ -6,7 +6,6 @@ from typing import Annotated
 import typer
 
 from lfgpu.cli.options import OutFolder
-from lfgpu.errors import LightFieldError
 
 
 def decode(
@@ -33,12 +32,9 @@ def decode(
         ),
     ] = None,
 ) -> None:
-    """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the lattice found.
-
-    Of a processed Lytro container, what it holds is written: views, refocused pictures, Lytro's own depth.
-    """
+    """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the grid found."""
     from lfgpu.cli.console import heading, lines, output, waiting
-    from lfgpu.io import check_writable, lytro
+    from lfgpu.io import check_writable
     from lfgpu.io.formats import check_exists
     from lfgpu.io.lenslet.decode import decode as decode_capture
     from lfgpu.io.lenslet.written import ABOUT_FILE, write_decoded
@@ -48,11 +44,6 @@ def decode(
     check_exists(source, "a raw capture")
     if white is not None:
         check_exists(white, "a white image")
-    if lytro.recognise(source) is not None:
-        if white is not None or bayer is not None or views is not None:
-            raise LightFieldError(f"{source} has no raw picture; leave --white, --bayer and --views out.")
-        _extract(source, out)
-        return
     with waiting(f"reading {source.name}") as say:
         decoded = decode_capture(source, bayer=bayer, white=white, views=views, progress=say)
         say("writing the views")
@@ -78,19 +69,3 @@ def decode(
             (ABOUT_FILE, "grid of microlenses, colours and value range"),
         ],
     )
-
-
-def _extract(source: Path, out: Path) -> None:
-    """Write what a processed container holds."""
-    from lfgpu.cli.console import heading, lines, output, waiting
-    from lfgpu.io import lytro
-    from lfgpu.io.lytro.reader import write_contents
-
-    held = lytro.inside(source)
-    with waiting(f"reading {source.name}"):
-        written = write_contents(source, out)
-    console = output()
-    heading(console, source.resolve().stem)
-    lines(console, [*held.facts, *((("no depth", held.no_depth),) if held.no_depth else ())])
-    heading(console, f"Written to {out}")
-    lines(console, written)

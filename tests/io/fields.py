@@ -266,7 +266,7 @@ def _lytro(lf: LightField, place: Path) -> Path:
 
 
 def _lytro_pictures(lf: LightField, place: Path) -> Path:
-    """Views as pictures, beside a focal stack and a depth table."""
+    """Views as pictures, beside a focal stack."""
     content, sections = lytro_samples.pictures(lf.views, [{"coord": xy} for xy in _coordinates(lf)])
     stack, more = lytro_samples.focal_stack(lf.views[:2])
     file = place / "IMG_0002-stk.lfp"

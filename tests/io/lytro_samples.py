@@ -1,4 +1,4 @@
-"""Containers as Lytro's programs write them: views, focal stacks, depth tables, and what cameras say of themselves."""
+"""Containers as Lytro's programs write them: views, focal stacks, and what cameras say of themselves."""
 
 import io
 import json
@@ -71,26 +71,15 @@ def pictures(images: Images, each: Sequence[dict[str, Any]]) -> Part:
     return {"imageArray": listed}, data
 
 
-def focal_stack(images: Images, table: NDArray[np.float32] | None = None) -> Part:
-    """JPEG pictures focused at λ = -1, 0, 1, ..., and a depth table."""
+def focal_stack(images: Images) -> Part:
+    """JPEG pictures focused at λ = -1, 0, 1, ..."""
     data = [jpeg(image) for image in images]
     height, width = images[0].shape[:2]
     listed = [
         {"representation": "jpeg", "height": height, "width": width, "imageRef": name(one), "lambda": float(i - 1)}
         for i, one in enumerate(data)
     ]
-    values = np.linspace(-2, 3, 100, dtype=np.float32).reshape(10, 10) if table is None else table
-    depth = values.astype("<f4").tobytes()
-    lut = {"height": values.shape[0], "width": values.shape[1], "representation": "raw", "imageRef": name(depth)}
-    return {"defaultLambda": 0, "depthLut": lut, "imageArray": listed}, [*data, depth]
-
-
-def depth_map(table: NDArray[np.float32], confidence: NDArray[np.float32]) -> Part:
-    """A depth table with confidences."""
-    data = [values.astype("<f4").tobytes() for values in (table, confidence)]
-    stored = [{"representation": "raw", "imageRef": name(one)} for one in data]
-    size = {"height": table.shape[0], "width": table.shape[1], "minLambda": -20, "maxLambda": 11}
-    return {**size, "depthMap": stored[0], "confidenceMap": stored[1]}, data
+    return {"defaultLambda": 0, "imageArray": listed}, data
 
 
 def processed(

@@ -1,4 +1,4 @@
-"""Processed Lytro containers: views, focal stacks and depth tables, and what is said where there is no light field."""
+"""Processed Lytro containers: their views, and what is said where there is no light field."""
 
 import copy
 import json
@@ -16,14 +16,13 @@ from hypothesis import strategies as st
 from lenslet_samples import container, metadata, packed, section
 from samples import refusal, refused_or_not
 
-from lfgpu.io import parallax, read, read_map, recognise
+from lfgpu.io import parallax, read, recognise
 from lfgpu.io.lytro import inside
+from lfgpu.io.lytro.container import open_container
 from lfgpu.io.lytro.contents import read_contents
-from lfgpu.io.lytro.reader import confidence_table, decoded, depth_table, write_contents
 
 DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 IMAGES = np.random.default_rng(0).integers(0, 256, (3, 16, 24, 3), np.uint8)
-TABLE = np.linspace(-4, 6, 120, dtype=np.float32).reshape(10, 12)
 
 
 def write(folder: Path, data: bytes, name: str = "a.lfp") -> Path:
@@ -52,13 +51,11 @@ def test_views_of_a_hexagonal_lattice(tmp_path: Path) -> None:
 
 
 def test_a_focal_stack_is_said_to_be_one(tmp_path: Path) -> None:
-    content, data = lytro_samples.focal_stack(IMAGES, TABLE)
+    content, data = lytro_samples.focal_stack(IMAGES)
     path = write(tmp_path, lytro_samples.processed([("refocusStack", content)], data, camera=lytro_samples.CAMERA))
     said = inside(path)
     facts = dict(said.facts)
-    assert facts["contents"] == "a focal stack of 3 pictures of 24 x 16 px, a depth table of 12 x 10"
-    assert facts["focal stack"] == "3 pictures focused at λ -1 to 1"
-    assert facts["depth table"].startswith("λ -4 to 6;")
+    assert facts["contents"] == "a focal stack"
     assert facts["camera"] == "Lytro, Inc. F01, 2015-05-05T10:07:34.000Z"
     assert facts["lens"] == "6.53 mm, f/1.91, 0.0125 s, ISO 100"
     assert facts["microlenses"].startswith("10 px apart, turned by 0.109 degrees")
@@ -69,43 +66,10 @@ def test_a_focal_stack_is_said_to_be_one(tmp_path: Path) -> None:
         assert "give the container with the raw picture" in sentence
 
 
-def test_pictures_and_tables_come_out_as_they_are(tmp_path: Path) -> None:
-    confidence = np.ones_like(TABLE)
-    confidence[0, 0] = np.nan
-    depth, depths = lytro_samples.depth_map(TABLE, confidence)
-    images = scene((1, 3), (36, 34)).views
-    content, data = lytro_samples.focal_stack(images)
-    listed = [("refocusStack", content), ("depthMap", depth)]
-    contents = read_contents(write(tmp_path, lytro_samples.processed(listed, [*data, *depths])))
-    stack = contents.stacks[0]
-    assert stack.lambdas == (-1, 0, 1)
-    pictures = list(decoded(contents.container, stack.pictures))
-    assert np.mean(np.abs(np.array(pictures, float) - images)) < 10  # JPEG
-    assert contents.depth is not None
-    np.testing.assert_array_equal(depth_table(contents.container, contents.depth), TABLE)
-    np.testing.assert_array_equal(confidence_table(contents.container, contents.depth), confidence)
-
-
 def test_the_illum_says_it_in_other_words(tmp_path: Path) -> None:
-    data = [lytro_samples.jpeg(image) for image in IMAGES]
-    depth = TABLE.astype("<f4").tobytes()
-    content = {
-        "kind": "focusStack",
-        "width": 24,
-        "height": 16,
-        "representation": "jpeg",
-        "depthMap": {
-            "width": 12,
-            "height": 10,
-            "imageRef": lytro_samples.name(depth),
-            "representation": "packedFloat",
-        },
-        "perImage": [{"imageRef": lytro_samples.name(one), "focus": i} for i, one in enumerate(data)],
-    }
-    path = write(tmp_path, lytro_samples.of_illum(content, [*data, depth], camera=lytro_samples.CAMERA), "a.LFP")
+    path = write(tmp_path, lytro_samples.of_illum({"kind": "focusStack"}, [], camera=lytro_samples.CAMERA), "a.LFP")
     contents = read_contents(path)
-    assert contents.summary() == "a focal stack of 3 pictures of 24 x 16 px, a depth table of 12 x 10"
-    assert contents.stacks[0].lambdas == (0, 1, 2)
+    assert contents.summary() == "a focal stack"
     assert contents.camera.microlenses is not None
     assert "from one place" in refusal(lambda: read(path))
 
@@ -117,30 +81,10 @@ def test_a_raw_picture_goes_before_what_was_computed_from_it(tmp_path: Path) -> 
     facts = dict(inside(path).facts)
     assert facts["contents"] == "a raw picture"
     assert inside(path).no_depth is None
-    depth, data = lytro_samples.depth_map(TABLE, TABLE)
-    path = write(tmp_path, lytro_samples.processed([("depthMap", depth)], data))
+    path = write(tmp_path, lytro_samples.processed([("depthMap", {})], []))
     text = refusal(lambda: read(path))
     assert f"the raw picture '{lytro_samples.LOST}' that it names is not in this file" in text
     assert "has no raw picture" in refusal(lambda: read(path, format="lenslet"))
-
-
-def test_what_is_written_reads_back(tmp_path: Path) -> None:
-    depth, depths = lytro_samples.depth_map(TABLE, TABLE / 10 + 0.5)
-    content, data = of_views(HEXAGON)
-    stack, more = lytro_samples.focal_stack(IMAGES)
-    listed = [("refocusStack", stack), ("depthMap", depth), ("edofParallax", content)]
-    path = write(tmp_path, lytro_samples.processed(listed, [*data, *depths, *more], camera=lytro_samples.CAMERA))
-    written = dict(write_contents(path, tmp_path / "out"))
-    assert set(written) >= {"view_00.png ...", "focus_00.jpg ...", "lambda.pfm", "confidence.pfm", "lytro.json"}
-    first, again = read(path), read(tmp_path / "out")
-    np.testing.assert_array_equal(again.views, first.views)
-    np.testing.assert_array_equal(again.positions, first.positions)
-    assert again.reference == first.reference
-    np.testing.assert_array_equal(read_map(tmp_path / "out" / "lambda.pfm"), TABLE)
-    assert (tmp_path / "out" / "focus_01.jpg").read_bytes() == more[1]
-    about = json.loads((tmp_path / "out" / "lytro.json").read_text())
-    assert about["focal_stacks"][0][2] == {"file": "focus_02.jpg", "lambda": 1.0}
-    assert about["camera"]["camera"].startswith("Lytro, Inc. F01")
 
 
 # --- real files ---
@@ -156,11 +100,11 @@ def real(name: str) -> Path:
 @pytest.mark.parametrize(
     ("name", "contents"),
     [
-        ("IMG_0001-stk.lfp", "a focal stack of 12 pictures of 1080 x 1080 px, a depth table of 20 x 20"),
-        ("IMG_0002-dm.lfp", "a depth table of 330 x 330"),
-        ("flowers-stk.lfp", "a focal stack of 10 pictures of 1080 x 1080 px, a depth table of 20 x 20"),
-        ("buddha.lfp", "a focal stack of 5 pictures of 1080 x 1080 px, a depth table of 328 x 328"),
-        ("illum_demo.LFP", "a focal stack of 10 pictures of 704 x 480 px, a depth table of 88 x 60"),
+        ("IMG_0001-stk.lfp", "a focal stack"),
+        ("IMG_0002-dm.lfp", "a depth table"),
+        ("flowers-stk.lfp", "a focal stack"),
+        ("buddha.lfp", "a focal stack"),
+        ("illum_demo.LFP", "a focal stack"),
     ],
 )
 def test_real_containers_without_views(name: str, contents: str) -> None:
@@ -179,9 +123,9 @@ def test_real_views_run_against_lytros_depth() -> None:
     assert found.offsets[found.reference_index].tolist() == [0, 0]
     np.testing.assert_allclose(np.sort(np.hypot(*found.offsets.T))[:8], [0, 1, 1, 1, 1, 1, 1, np.sqrt(3)], atol=1e-6)
     assert parallax.axes_agree(found) is True
-    contents = read_contents(real("IMG_0002-dm.lfp"))
-    assert contents.depth is not None
-    table = depth_table(contents.container, contents.depth)
+    container = open_container(real("IMG_0002-dm.lfp"))
+    name = next(name for name, section in container.sections.items() if section.length == 4 * 330 * 330)
+    table = np.frombuffer(container.data(name), "<f4").reshape(330, 330)  # λ, larger is farther
     for axis in (0, 1):
         measured = parallax.measured(found, axis)
         assert measured is not None
@@ -264,7 +208,7 @@ def test_videos_that_are_not_what_they_are_said_to_be(tmp_path: Path) -> None:
     lf = scene((3, 3), (36, 34))
     good = SAMPLES["lytro"].write(lf, tmp_path)
     contents = read_contents(good)
-    name = contents.views.pictures.sections[0]
+    name = contents.views.sections[0]
     stream = contents.container.data(name)
 
     def says(words: str, data: bytes = stream, size: tuple[int, int] = lf.size, count: int = 9) -> None:
@@ -277,20 +221,6 @@ def test_videos_that_are_not_what_they_are_said_to_be(tmp_path: Path) -> None:
     says("says that its video has 8 pictures, it has more", count=8)
     says("a picture in it is 34 x 36 px, where it says 40 x 40", size=(40, 40))
     says("cannot be read as a video", data=b"no video" * 100)
-
-
-def test_depth_tables_that_cannot_be(tmp_path: Path) -> None:
-    content, data = lytro_samples.focal_stack(IMAGES, TABLE)
-
-    def says(keys: str, value: Any, words: str) -> None:
-        changed = change(content, keys, value)
-        path = write(tmp_path, lytro_samples.processed([("refocusStack", changed)], data))
-        assert words in refusal(lambda: inside(path))
-
-    says("depthLut.width", 13, "a depth table of 13 x 10 is 520 bytes, this one has 480")
-    says("depthLut.representation", "half", "a depth table stored as 'half'")
-    says("depthLut.imageRef", "sha1-y", "names 'sha1-y'")
-    says("imageArray.0.lambda", "near", "vendorContent.imageArray[0].lambda, where a number should")
 
 
 def test_unknown_accelerations_are_named(tmp_path: Path) -> None:

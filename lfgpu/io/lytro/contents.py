@@ -1,4 +1,4 @@
-"""Contents of a Lytro container: raw picture, views, stacks of refocused pictures, depth table, facts of the camera.
+"""Contents of a Lytro container: raw picture, views, facts of the camera, and what else is there by its name.
 
 Cameras write the raw picture. Lytro's desktop program and web service write "accelerations" instead: pictures that were
 computed from it, for viewers. The first camera's program and the Illum's describe them with different words.
@@ -105,49 +105,24 @@ def _microlenses(metadata: Members) -> MicrolensArray | None:
     return array if possible else None
 
 
-_SIDES = (8, 16384)  # pixels of a picture or table
-_LAMBDAS = (-1000.0, 1000.0)
+_SIDES = (8, 16384)  # pixels of a picture
 _FRAMES = (("picture", "frameArray"), ("master", "picture", "frameArray"), ("frames",))
 """Places where the first Lytro, the Illum's desktop files and the Illum itself list what belongs to a picture."""
-
-
-@dataclass(frozen=True)
-class Pictures:
-    """Pictures of one size, each in a section of its own or all of them in one video."""
-
-    representation: str  # kind of their files: "jpeg", "png", or "h264" for a video
-    size: tuple[int, int]  # (height, width) in pixels
-    count: int
-    sections: tuple[str, ...]
-    """Names of the sections: one for each picture, or the one with the video."""
+FOCAL_STACK = "a focal stack"
+_OTHERS = {"refocusStack": FOCAL_STACK, "focusStack": FOCAL_STACK, "depthMap": "a depth table"}
+"""Names of what is no light field: pictures focused at several depths, and Lytro's own depth."""
 
 
 @dataclass(frozen=True, eq=False)
 class Views:
-    """The scene from several places of the main lens."""
+    """The scene from several places of the main lens: pictures of one size, in sections of their own or in a video."""
 
-    pictures: Pictures
+    representation: str  # kind of the files: "jpeg", "png", or "h264" for a video
+    size: tuple[int, int]  # (height, width) in pixels
+    sections: tuple[str, ...]
+    """Names of the sections: one for each picture, or the one with the video."""
     coordinates: NDArray[np.float64]
     """[n, 2], (x, y) of each place in Lytro's unit, x to the right and y down."""
-
-
-@dataclass(frozen=True)
-class FocusStack:
-    """The scene from one place, focused at several depths."""
-
-    pictures: Pictures
-    lambdas: tuple[float, ...]
-    """The focus of each; see `DepthTable`."""
-
-
-@dataclass(frozen=True)
-class DepthTable:
-    """Lytro's own depth: a number λ for each cell; the larger, the farther. 0 is where the main lens was focused."""
-
-    size: tuple[int, int]  # (height, width) in cells, which together cover a picture
-    section: str
-    confidence: str | None
-    """Name of the section with the confidences, 0 to 1, if there are some."""
 
 
 @dataclass(frozen=True)
@@ -165,31 +140,17 @@ class Contents:
     container: Container
     raw: RawPicture | None
     views: Views | None
-    stacks: tuple[FocusStack, ...]
-    depth: DepthTable | None
+    others: tuple[str, ...]  # names of what is no light field
     camera: Camera | None
     missing: str | None
     """Name of the raw picture, if the table names one that is not in the file."""
-    unknown: tuple[str, ...]  # kinds of accelerations that are not known
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-        return self.container.path
 
     def summary(self) -> str:
-        """Describe the contents in words: "37 views of 1080 x 1080 px, a depth table of 330 x 330"; "nothing"."""
+        """Describe the contents in words: "37 views of 1080 x 1080 px, a focal stack"; "nothing"."""
         parts = [] if self.raw is None else ["a raw picture"]
         if self.views is not None:
-            parts.append(f"{self.views.pictures.count} views of {across(self.views.pictures.size)} px")
-        parts += [
-            f"a focal stack of {stack.pictures.count} pictures of {across(stack.pictures.size)} px"
-            for stack in self.stacks
-        ]
-        if self.depth is not None:
-            parts.append(f"a depth table of {across(self.depth.size)}")
-        parts += [f"an acceleration {kind!r}, which is not known" for kind in self.unknown]
-        return ", ".join(parts) or "nothing"
+            parts.append(f"{len(self.views.coordinates)} views of {across(self.views.size)} px")
+        return ", ".join([*parts, *self.others]) or "nothing"
 
 
 def across(size: tuple[int, int]) -> str:
@@ -211,9 +172,16 @@ def read_contents(path: Path) -> Contents:
         raw = RawPicture(str(section), metadata)
     elif section is not None:
         missing = str(section)[:60]
-    views, stacks, depth, unknown = _accelerations(container)
+    listed = _accelerations(container)
+    of_views = next((content for kind, content in listed if kind == "edofParallax"), None)
+    views = None if of_views is None else _views(container, of_views)
+    others = [
+        _OTHERS.get(kind, f"an acceleration {kind!r}, which is not known")
+        for kind, _ in listed
+        if kind != "edofParallax"
+    ]
     camera = None if metadata is None else Camera.of(Members(path, metadata))
-    return Contents(container, raw, views, stacks, depth, camera, missing, unknown)
+    return Contents(container, raw, views, tuple(others), camera, missing)
 
 
 def _frame(table: dict[str, Any]) -> dict[str, Any]:
@@ -247,30 +215,8 @@ def _section(container: Container, of: Members, key: str) -> str:
     return str(name)
 
 
-def _accelerations(
-    container: Container,
-) -> tuple[Views | None, tuple[FocusStack, ...], DepthTable | None, tuple[str, ...]]:
-    views: Views | None = None
-    stacks: list[FocusStack] = []
-    depths: list[DepthTable] = []
-    unknown: list[str] = []
-    for kind, content in _listed(container):
-        if kind == "edofParallax":
-            views = views or _views(container, content)
-        elif kind in ("refocusStack", "focusStack"):
-            stacks.append(_stack(container, content))
-            table = next((key for key in ("depthLut", "depthMap") if key in content.values), None)
-            if table is not None:
-                depths.append(_depth(container, content.object(table)))
-        elif kind == "depthMap":
-            depths.insert(0, _depth(container, content))
-        else:
-            unknown.append(kind)
-    return views, tuple(stacks), next(iter(depths), None), tuple(unknown)
-
-
-def _listed(container: Container) -> list[tuple[str, Members]]:
-    """Yield (kind, content) of each acceleration."""
+def _accelerations(container: Container) -> list[tuple[str, Members]]:
+    """List (kind, content) of each acceleration."""
     whole = Members(container.path, container.table)
     for picture in (whole.find("picture"), whole.find("master", "picture")):
         if isinstance(picture, dict) and "accelerationArray" in picture:
@@ -283,55 +229,20 @@ def _listed(container: Container) -> list[tuple[str, Members]]:
 
 
 def _views(container: Container, content: Members) -> Views:
-    pictures, entries = _pictures(container, content)
-    coordinates = [entry.object("coord") for entry in entries]
-    places = [[place.number(axis, -10.0, 10.0) for axis in ("x", "y")] for place in coordinates]
-    return Views(pictures, np.array(places, np.float64))
-
-
-def _stack(container: Container, content: Members) -> FocusStack:
-    pictures, entries = _pictures(container, content)
-    key = "lambda" if "lambda" in entries[0].values else "focus"
-    return FocusStack(pictures, tuple(entry.number(key, *_LAMBDAS) for entry in entries))
-
-
-def _pictures(container: Container, content: Members) -> tuple[Pictures, list[Members]]:
-    """Return the pictures of an acceleration, and what is said of each of them; there is at least one."""
     if "blockOfImages" in content.values:  # a video
         block = content.object("blockOfImages")
         entries = block.objects("metadataArray")
         sections = [_section(container, block, "blockOfImagesRef")]
         kinds = [block.text("representation")]
-        sized = entries
-    elif "perImage" in content.values:  # the Illum's
-        entries = content.objects("perImage")
-        sections = [_section(container, entry, "imageRef") for entry in entries]
-        kinds, sized = [content.text("representation")], [content]
     else:
-        entries = sized = content.objects("imageArray")
+        entries = content.objects("imageArray")
         sections = [_section(container, entry, "imageRef") for entry in entries]
         kinds = [entry.text("representation") for entry in entries]
     if not entries:
         raise LightFieldError(f"{container.path} is damaged: an acceleration of it has no pictures.")
-    sizes = {(entry.integer("height", *_SIDES), entry.integer("width", *_SIDES)) for entry in sized}
+    sizes = {(entry.integer("height", *_SIDES), entry.integer("width", *_SIDES)) for entry in entries}
     if len(sizes) > 1 or len(set(kinds)) > 1:
         raise LightFieldError(f"{container.path} has pictures of several sizes or kinds in one stack.")
-    return Pictures(kinds[0][:60], sizes.pop(), len(entries), tuple(sections)), entries
-
-
-def _depth(container: Container, content: Members) -> DepthTable:
-    size = content.integer("height", *_SIDES), content.integer("width", *_SIDES)
-    table = content.object("depthMap") if "depthMap" in content.values else content
-    confidence = content.object("confidenceMap") if "confidenceMap" in content.values else None
-    names = []
-    for entry in (table, *(() if confidence is None else (confidence,))):
-        kind, name = entry.text("representation"), _section(container, entry, "imageRef")
-        if kind not in ("raw", "packedFloat"):
-            raise LightFieldError(f"{container.path} has a depth table stored as {kind[:60]!r}; known is 'raw'.")
-        if container.length(name) != 4 * size[0] * size[1]:
-            raise LightFieldError(
-                f"{container.path} is damaged: a depth table of {across(size)} is {4 * size[0] * size[1]} bytes, "
-                f"this one has {container.length(name)}."
-            )
-        names.append(name)
-    return DepthTable(size, names[0], names[1] if confidence is not None else None)
+    coordinates = [entry.object("coord") for entry in entries]
+    places = [[place.number(axis, -10.0, 10.0) for axis in ("x", "y")] for place in coordinates]
+    return Views(kinds[0][:60], sizes.pop(), tuple(sections), np.array(places, np.float64))
