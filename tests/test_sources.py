@@ -2,8 +2,10 @@
 
 import sys
 import types
+from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -12,7 +14,7 @@ from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.cli import app, live, values
+from lfgpu.cli import app, live
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci
 from lfgpu.io.ring import RingWriter
@@ -102,14 +104,13 @@ def test_a_tiled_video(tmp_path: Path) -> None:
 # --- folders that grow ---
 
 
-def test_a_folder_that_grows(tmp_path: Path) -> None:
+def test_a_folder_that_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames that are there, that come, that come in parts, that are damaged or of other cameras."""
-    folder, said, asked = tmp_path / "in", list[str](), [0]
+    folder, said, asked = tmp_path / "in", list[str](), [1]
     folder.mkdir()
     write_hci(film()[0], folder / "frame_9")
 
-    def stop() -> bool:
-        """Is asked before each look."""
+    def between_looks(_: float) -> None:
         asked[0] += 1
         match asked[0]:
             case 2:
@@ -126,11 +127,17 @@ def test_a_folder_that_grows(tmp_path: Path) -> None:
                 write_hci(scenes.make("planes", grid=(3, 2), size=(32, 36)), folder / "frame_12")
             case 8:
                 write_hci(film()[3], folder / "frame_13")
-        return asked[0] > 11
+        if asked[0] > 11:
+            raise KeyboardInterrupt
 
-    opened = open_source(f"growing:{folder}", Options(stop=stop, say=said.append))
+    def until_interrupted(frames: Any) -> Any:
+        with suppress(KeyboardInterrupt):
+            yield from frames
+
+    monkeypatch.setattr("lfgpu.pipelines.sources.folder.time", SimpleNamespace(sleep=between_looks))
+    opened = open_source(f"growing:{folder}", Options(say=said.append))
     assert opened.is_live
-    found = all_views(opened.frames)
+    found = all_views(until_interrupted(opened.frames))
     np.testing.assert_array_equal(found, [film()[index].views for index in (0, 1, 3)])
     assert ["frame_11" in said[0], "frame_12 has other camera positions" in said[1]] == [True, True]
 
@@ -301,36 +308,9 @@ def test_frames_are_not_faster_than_asked_for(monkeypatch: pytest.MonkeyPatch) -
     np.testing.assert_allclose(taken, [0.0, 0.1, 0.41, 0.51], atol=1e-9)
 
 
-def test_no_frame_is_taken_after_the_end() -> None:
-    asked = [0]
-
-    def stop() -> bool:
-        asked[0] += 1
-        return asked[0] > 2
-
-    with lfgpu.DepthStream(film()[0], config="fast", disparity_range=(-1, 1), device="cpu", policy="block") as stream:
-        feed(stream, iter(film()), stop=stop)
-    assert stream.stats()["frames_pushed"] == 2
-
-
-@pytest.mark.parametrize(("text", "seconds"), [("90s", 90), ("1.5m", 90), ("2h", 7200)])
-def test_times_to_wait(text: str, seconds: float) -> None:
-    assert values.parse_until("--until", text) == seconds
-
-
-def test_times_of_the_day() -> None:
-    assert 0 < values.parse_until("--until", "18:30") <= 86400
-
-
-@pytest.mark.parametrize("text", ["", "5", "s", "-1s", "infs", "25:00", "soon"])
-def test_times_that_are_none(text: str) -> None:
-    with pytest.raises(lfgpu.LightFieldError, match="--until must be a time such as 90s"):
-        values.parse_until("--until", text)
-
-
 def test_the_command_records_frames_and_says_that_the_range_is_too_small(videos: Path, tmp_path: Path) -> None:
     arguments = ["live", str(videos), "--grid=2x3", "--preset=fast", "--disparity-range=-1,0", "--device=cpu"]
-    outcome = CliRunner().invoke(app, [*arguments, f"--record={tmp_path / 'kept'}", "--until=1h"])
+    outcome = CliRunner().invoke(app, [*arguments, f"--record={tmp_path / 'kept'}"])
     assert outcome.exit_code == 0, outcome.output
     assert f"{FRAMES} of {FRAMES}, 0 dropped, 0 failed" in outcome.stdout
     assert "is too small for the frames" in " ".join(outcome.stdout.split())
@@ -397,7 +377,7 @@ def test_what_is_switched_on_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path:
     monkeypatch.setattr("lfgpu.pipelines.sources.feeding._ASKED_AGAIN", 0.0)
     asked: list[int] = []
 
-    def stop() -> bool:
+    def hold() -> bool:
         asked.append(stream.stats()["frames_pushed"])
         if len(asked) == 2:
             pages[0].switch("pause", True)
@@ -405,13 +385,13 @@ def test_what_is_switched_on_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path:
             assert stream.stats()["frames_done"] == 1  # its map was waited for
             pages[0].switch("record", False)
             pages[0].switch("pause", False)
-        return False
+        return page.pauses()
 
     options: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu"}
     stream = lfgpu.DepthStream(film()[0], policy="block", **options)
     with live.View(film()[0], records=True) as page, stream:
         frames = recorded(iter(film()), film()[0], tmp_path, wanted=page.records)
-        feed(stream, frames, stop=stop, hold=page.pauses)
+        feed(stream, frames, hold=hold)
     assert asked[:5] == [0, 1, 1, 1, 2]
     assert [folder.name for folder in tmp_path.iterdir()] == ["frame_000000"]
     assert stream.stats()["frames_done"] == len(film())

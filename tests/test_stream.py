@@ -338,7 +338,7 @@ def test_budget_picks_the_work() -> None:
         assert result.steps == 3
 
 
-def test_stats_and_their_text() -> None:
+def test_stats() -> None:
     with made() as stream:
         assert np.isnan(stream.stats()["latency_p50_ms"])
         results = [stream.push(lf.views) for lf in frames()]
@@ -349,11 +349,7 @@ def test_stats_and_their_text() -> None:
             assert stats[f"latency_p{quantile}_ms"] == pytest.approx(np.percentile(latencies, quantile))
         assert all(0 < result.work <= result.latency for result in results)
         assert stats["frames_per_second"] > 0
-        text = dict(line.rsplit(" ", 1) for line in stream.prometheus().splitlines() if not line.startswith("#"))
-    assert float(text["lfgpu_stream_frames_done_total"]) == FRAMES
-    assert float(text['lfgpu_stream_latency_seconds{quantile="0.99"}']) == pytest.approx(
-        stats["latency_p99_ms"] / 1000, rel=1e-4
-    )
+        assert stats["frames_done"] == FRAMES
 
 
 @pytest.mark.parametrize(

@@ -202,7 +202,7 @@ def test_frames_whose_pictures_were_not_taken_together_are_counted_and_said_once
     assert results[3].stamps is None
     assert results[4].stamps is not None
     assert np.isnan(results[4].stamps).tolist() == (~missing).tolist()
-    assert "lfgpu_stream_frames_out_of_step_total 2" in stream.prometheus()
+    assert stream.stats()["frames_out_of_step"] == 2
 
 
 def test_without_a_tolerance_any_stamps_will_do() -> None:

@@ -76,13 +76,6 @@ def live(
         float | None, typer.Option("--max-fps", metavar="RATE", help="Largest number of frames per second.")
     ] = None,
     frames: Annotated[int | None, typer.Option(metavar="N", help="Stop after N frames.", min=1)] = None,
-    until: Annotated[
-        str | None,
-        typer.Option(
-            metavar="TIME",
-            help="Stop after a time (90s, 10m, 2h) from the first frame on, or at a time of this day (18:30).",
-        ),
-    ] = None,
     view: Annotated[
         bool,
         typer.Option(
@@ -131,10 +124,6 @@ def live(
     ] = None,
     device: Device = None,
     threads: Threads = None,
-    metrics: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="File of statistics, kept up to date, in the text format of Prometheus."),
-    ] = None,
     quiet: Quiet = False,
 ) -> None:
     """Estimate the disparity of each frame of a stream. Ctrl-C ends it, and so does SIGTERM.
@@ -157,13 +146,10 @@ def live(
             check_writable(folder)
     if recording is not None and next(recording.glob("frame_*"), None) is not None:
         raise LightFieldError(f"{recording} holds frames already, which would mix with new ones; name a new folder.")
-    if metrics is not None:
-        check_writable(metrics, folder=False)
     if max_fps is not None and not (max_fps > 0 and math.isfinite(max_fps)):
         raise typer.BadParameter("the rate must be a number above 0.", param_hint="--max-fps")
     if like is not None and rectify is not None:
         raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
-    stop = End("--until", until)
     config = parameters.config()
     bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
     chosen = None if policy is None else values.parse_policy("--policy", policy)
@@ -175,7 +161,6 @@ def live(
         scene={"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise},
         most=frames,
         rectifier=rectifier,
-        stop=stop,
         say=(lambda _: None) if quiet else _say,
     )
     opened = open_source(source, options)
@@ -200,15 +185,13 @@ def live(
         if recording is not None:
             coming = recorded(coming, first, recording, wanted=page.records)
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
-        with _terminated_as_by_ctrl_c(), watch, Display(stream, metrics, quiet=quiet) as display:
-            stop.begin()
+        with _terminated_as_by_ctrl_c(), watch, Display(stream, quiet=quiet) as display:
             try:
                 feed(
                     stream,
                     coming,
                     max_fps=max_fps,
                     most=frames,
-                    stop=stop,
                     hold=page.pauses,
                     tag=page.kept,
                     on_done=_all(record.add, display.look, partial(page.show, stream)),
@@ -304,26 +287,6 @@ class Record:
             temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
 
 
-class End:
-    """The time to stop: never without a text, else as `values.parse_until` has it.
-
-    A time to wait begins anew when the stream is there: the first one of a machine takes minutes.
-    """
-
-    def __init__(self, option: str, text: str | None) -> None:
-        self._seconds = math.inf if text is None else values.parse_until(option, text)
-        self._waits = text is not None and ":" not in text
-        self._end = time.monotonic() + self._seconds
-
-    def begin(self) -> None:
-        """Begin to count: the stream takes frames from now on."""
-        if self._waits:
-            self._end = time.monotonic() + self._seconds
-
-    def __call__(self) -> bool:
-        return time.monotonic() >= self._end
-
-
 class View:
     """The page in the browser that shows frames and maps, and what is switched there.
 
@@ -392,14 +355,14 @@ class View:
 
 
 class Display:
-    """Shows rate and latency on a terminal while frames come, and keeps a file of statistics up to date."""
+    """Shows rate and latency on a terminal while frames come."""
 
-    def __init__(self, stream: DepthStream, metrics: Path | None, *, quiet: bool) -> None:
+    def __init__(self, stream: DepthStream, *, quiet: bool) -> None:
         from rich.console import Console
         from rich.live import Live
 
         console = Console(stderr=True, highlight=False, markup=False)
-        self._stream, self._metrics, self._next = stream, metrics, 0.0
+        self._stream, self._next = stream, 0.0
         self._live = None
         if console.is_terminal and not quiet:
             self._live = Live(console=console, auto_refresh=False, transient=True)
@@ -410,27 +373,19 @@ class Display:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._next = 0.0
-        self.look(None)
         if self._live is not None:
             self._live.stop()
 
     def look(self, _: StreamResult | None) -> None:
         """Update the display, unless that was done a moment ago."""
         now = time.monotonic()
-        if now < self._next:
+        if self._live is None or now < self._next:
             return
+        from rich.text import Text
+
         self._next = now + _REFRESH
-        stats = self._stream.stats()
-        if self._live is not None:
-            from rich.text import Text
-
-            self._live.update(Text("\n".join(f"{label:<10}{text}" for label, text in facts(stats))), refresh=True)
-        if self._metrics is not None:
-            from lfgpu.io import atomic_write
-
-            with atomic_write(self._metrics) as temporary:
-                temporary.write_text(self._stream.prometheus(), encoding="utf-8")
+        lines = (f"{label:<10}{text}" for label, text in facts(self._stream.stats()))
+        self._live.update(Text("\n".join(lines)), refresh=True)
 
 
 def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:

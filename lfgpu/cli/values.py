@@ -63,25 +63,6 @@ def parse_policy(option: str, text: str) -> tuple[str, int | None]:
     return name, int(count) if colon else None
 
 
-def parse_until(option: str, text: str) -> float:
-    """Parse a time as seconds from now: "90s", "10m", "2h" are a time to wait; "18:30" is its next time of day."""
-    from datetime import datetime, timedelta
-
-    units = {"s": 1.0, "m": 60.0, "h": 3600.0}
-    try:
-        if ":" not in text:
-            seconds = float(text[:-1]) * units[text[-1:]]
-            if not 0 < seconds < math.inf:
-                raise ValueError
-            return seconds
-        now = datetime.now()
-        time = datetime.strptime(text, "%H:%M")
-        end = now.replace(hour=time.hour, minute=time.minute, second=0, microsecond=0)
-        return ((end if end > now else end + timedelta(days=1)) - now).total_seconds()
-    except (ValueError, KeyError):
-        raise LightFieldError(f"{option} must be a time such as 90s, 10m, 2h or 18:30, not {text!r}.") from None
-
-
 def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, float]:
     """Parse two numbers with a separator between them; otherwise LightFieldError: "OPTION must be `what`"."""
     try:

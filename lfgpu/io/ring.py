@@ -14,7 +14,7 @@ import secrets
 import struct
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from io import FileIO
@@ -352,13 +352,13 @@ class RingReader:
                 raise LightFieldError(f"{self.path} was cut short while it was read; start the producer again.")
             done += got
 
-    def wait(self, stop: Callable[[], bool] = lambda: False) -> RingFrame | None:
-        """Wait for the next newest frame; None when the producer has ended, or `stop` returns True."""
+    def wait(self) -> RingFrame | None:
+        """Wait for the next newest frame; None when the producer has ended."""
         while True:
             ended = self.ended()
             if (frame := self.read()) is not None:
                 return frame
-            if ended or stop():
+            if ended:
                 return None
             time.sleep(_POLL)
 

@@ -368,10 +368,6 @@ class DepthStream:
             "result_buffers": self._buffers if self._returned else self._engine.transport.made,
         }
 
-    def prometheus(self) -> str:
-        """Format `stats` as text for Prometheus."""
-        return stream_stats.prometheus(self.stats())
-
     def close(self, *, finish: bool = True) -> None:
         """End the stream and its threads. Waiting frames are finished if `finish` (default), else dropped.
 

@@ -12,19 +12,20 @@ import numpy as np
 _KEPT = 1024  # latest frames whose times are kept
 _RECENT = 2.0  # seconds over which the frame rate is averaged
 
-_HELP = {
-    "frames_pushed": "Frames given to the stream.",
-    "frames_done": "Frames with a result.",
-    "frames_dropped": "Frames dropped because they came too fast or the stream was closed.",
-    "frames_failed": "Frames that failed.",
-    "frames_cold": "Results that did not start from the previous map.",
-    "scene_cuts": "Frames that started cold because the scene changed.",
-    "frames_with_missing_views": "Results with missing views.",
-    "frames_over_budget": "Results that exceeded the time budget.",
-    "frames_beyond_range": "Results with at least 1 % of the pixels at one end of the disparity range.",
-    "frames_out_of_step": "Results whose time stamps differ by more than the tolerance.",
-    "callback_errors": "Exceptions of the callback.",
-}
+_COUNTED = (
+    "frames_pushed",  # frames given to the stream
+    "frames_done",  # frames with a result
+    "frames_dropped",  # frames dropped because they came too fast or the stream was closed
+    "frames_failed",  # frames that failed
+    "frames_cold",  # results that did not start from the previous map
+    "scene_cuts",  # frames that started cold because the scene changed
+    "frames_with_missing_views",  # results with missing views
+    "frames_over_budget",  # results that exceeded the time budget
+    "frames_beyond_range",  # results with at least 1 % of the pixels at one end of the disparity range
+    "frames_out_of_step",  # results whose time stamps differ by more than the tolerance
+    "callback_errors",  # exceptions of the callback
+)
+"""Counts of frames."""
 
 
 class Counters:
@@ -32,7 +33,7 @@ class Counters:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._counts = dict.fromkeys(_HELP, 0)
+        self._counts = dict.fromkeys(_COUNTED, 0)
         self._latencies: deque[float] = deque(maxlen=_KEPT)
         self._work: deque[float] = deque(maxlen=_KEPT)
         self._ends: deque[float] = deque(maxlen=_KEPT)
@@ -65,26 +66,6 @@ class Counters:
             **_percentiles("latency", latencies),
             **_percentiles("work", work),
         }
-
-
-def prometheus(stats: dict[str, Any], prefix: str = "lfgpu_stream") -> str:
-    """Format statistics as text for Prometheus (version 0.0.4)."""
-    lines = []
-    for name, value in stats.items():
-        if name.endswith("_ms"):
-            continue
-        kind = "counter" if name in _HELP else "gauge"
-        suffix = "_total" if kind == "counter" else ""
-        if name in _HELP:
-            lines.append(f"# HELP {prefix}_{name}{suffix} {_HELP[name]}")
-        lines += [f"# TYPE {prefix}_{name}{suffix} {kind}", f"{prefix}_{name}{suffix} {float(value):g}"]
-    for what in ("latency", "work"):
-        lines.append(f"# TYPE {prefix}_{what}_seconds gauge")
-        lines += [
-            f'{prefix}_{what}_seconds{{quantile="{quantile / 100:g}"}} {stats[f"{what}_p{quantile}_ms"] / 1000:g}'
-            for quantile in (50, 95, 99)
-        ]
-    return "\n".join(lines) + "\n"
 
 
 def _percentiles(name: str, seconds: Any) -> dict[str, float]:

@@ -26,7 +26,6 @@ class Options:
     """Options of `scenes.make`: `size`, `disparity_range`, `noise` and `seed`."""
     most: int | None = None  # largest number of frames that are used; None: no limit
     rectifier: Rectifier | None = None  # with it frames are raw pictures of its cameras
-    stop: Callable[[], bool] = lambda: False  # asked while a source waits for a frame; True ends the frames
     say: Callable[[str], None] = lambda _: None  # takes sentences for the user, such as which frame was left out
 
 

@@ -40,7 +40,7 @@ def frames(source: str, options: Options) -> Frames:
                 )
             devices.append(device)
         shape: tuple[int, ...] | None = None
-        while not options.stop():
+        while True:
             there = [bool(device.grab()) for device in devices]
             pictures = [
                 _retrieved(cv2, device) if is_there else None for device, is_there in zip(devices, there, strict=True)

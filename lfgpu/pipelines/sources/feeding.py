@@ -21,7 +21,6 @@ def feed(
     *,
     max_fps: float | None = None,
     most: int | None = None,
-    stop: Callable[[], bool] = lambda: False,
     hold: Callable[[], bool] = lambda: False,
     tag: Callable[[int, Any], Any] = lambda index, _: index,
     on_done: Callable[[StreamResult], None] | None = None,
@@ -29,9 +28,9 @@ def feed(
     """Push frames into a stream until they end, and wait for the last map, also where the frames end with an error.
 
     A wrong frame becomes a failed result of the stream. With `max_fps`, the next frame is asked for when its time has
-    come; of a live source it is then the newest one. Before each frame, `stop` is asked for the end, and `hold` for a
-    pause. `tag(index, views)` gives the `tag` of each result, by default the index. `on_done` takes each result in
-    order, also failed and dropped ones, in the thread that feeds.
+    come; of a live source it is then the newest one. Before each frame, `hold` is asked for a pause. `tag(index,
+    views)` gives the `tag` of each result, by default the index. `on_done` takes each result in order, also failed and
+    dropped ones, in the thread that feeds.
     """
     pending: deque[StreamResult] = deque()
 
@@ -44,7 +43,7 @@ def feed(
 
     next_time = time.perf_counter()
     index = 0
-    while (most is None or index < most) and not stop():
+    while most is None or index < most:
         if hold():
             look(wait=True)
             time.sleep(_ASKED_AGAIN)

@@ -61,7 +61,7 @@ def growing_frames(source: str, options: Options) -> Frames:
     if not path.is_dir():
         raise LightFieldError(f"{path} is no folder; make it before frames come.")
     first: LightField | None = None
-    for folder in _whole(path, options):
+    for folder in _whole(path):
         try:
             lf = _read(folder, options.rectifier)
             frame = lf if first is None else _like(first, lf, folder)
@@ -72,10 +72,10 @@ def growing_frames(source: str, options: Options) -> Frames:
         first = first or lf
 
 
-def _whole(path: Path, options: Options) -> Iterator[Path]:
+def _whole(path: Path) -> Iterator[Path]:
     """Yield each new folder once its files have not changed between two looks."""
     done, seen = set[Path](), dict[Path, Any]()
-    while not options.stop():
+    while True:
         for folder in _ordered(path):
             if folder in done:
                 continue

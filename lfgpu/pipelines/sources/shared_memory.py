@@ -18,7 +18,7 @@ def frames(source: str, options: Options) -> Frames:
     path = source.removeprefix(PREFIX)
     passed = 0
     with RingReader(path) as ring:
-        while (frame := ring.wait(options.stop)) is not None:
+        while (frame := ring.wait()) is not None:
             if frame.number == 1 + frame.passed:  # the first one that is read
                 yield LightField(frame.views, ring.positions, ring.reference, name=path)
                 continue
