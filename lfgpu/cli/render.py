@@ -12,7 +12,6 @@ from lfgpu.cli.options import Computing, Preset, Quiet, ReadingIncomplete, Sourc
 from lfgpu.errors import LightFieldError
 
 _SWEEPS = ("circle", "across", "down", "focus")
-_MOST_TILES = 200  # views of a quilt
 
 
 def render(
@@ -40,16 +39,6 @@ def render(
     sweep: Annotated[
         str | None, typer.Option(metavar="PATH", help=f"Render a video along a path: {', '.join(_SWEEPS)}.")
     ] = None,
-    quilt: Annotated[
-        str | None,
-        typer.Option(
-            metavar="COLUMNSxROWS",
-            help="Render so many views from left to right as one image for holographic displays (Looking Glass).",
-        ),
-    ] = None,
-    rgbd: Annotated[
-        bool, typer.Option("--rgbd", help="Write the reference view and, to its right, its map: white is near.")
-    ] = False,
     maps: Annotated[
         Path | None,
         typer.Option(
@@ -71,26 +60,23 @@ def render(
     reading: ReadingIncomplete,
     quiet: Quiet = False,
 ) -> None:
-    """Render a new view, a refocused image, an all-in-focus image, a video, a quilt or colour and depth.
+    """Render a new view, a refocused image, an all-in-focus image or a video.
 
-    Give exactly one of --view, --refocus, --all-in-focus, --sweep, --quilt and --rgbd.
+    Give exactly one of --view, --refocus, --all-in-focus and --sweep.
     """
     from lfgpu.cli.rendering import Rendering
     from lfgpu.io import check_writable, read
     from lfgpu.io.frames import check_frames_path, check_image_path, write_frames, write_image
     from lfgpu.methods import method_of
 
-    asked = [view is not None, focus is not None, in_focus, sweep is not None, quilt is not None, rgbd]
+    asked = [view is not None, focus is not None, in_focus, sweep is not None]
     if sum(asked) != 1:
-        raise LightFieldError("give one of --view, --refocus, --all-in-focus, --sweep, --quilt and --rgbd.")
+        raise LightFieldError("give one of --view, --refocus, --all-in-focus and --sweep.")
     if sweep is not None and sweep not in _SWEEPS:
         raise LightFieldError(f"--sweep must be one of {', '.join(_SWEEPS)}, not {sweep!r}.")
     (check_image_path if sweep is None else check_frames_path)(out)
     check_writable(out, folder=not out.suffix)
     place = None if view is None else values.parse_place("--view", view)
-    tiles = None if quilt is None else values.parse_size("--quilt", quilt, "COLUMNSxROWS such as 8x6")
-    if tiles is not None and not (min(tiles) >= 1 and 2 <= tiles[0] * tiles[1] <= _MOST_TILES):
-        raise LightFieldError(f"--quilt must be of 2 to {_MOST_TILES} views, such as 8x6, not {quilt}.")
     reference = values.parse_reference_view(reference_view)
     options = reading.options()
     estimation = computing.estimation(method_of(preset).for_rendering)
@@ -102,9 +88,7 @@ def render(
     rendering = Rendering(lf, maps, estimation, quiet)
     if sweep is not None:
         write_frames(rendering.film(sweep, frames), out, fps=fps, dtype=dtype)
-    elif tiles is not None:
-        out = rendering.write_quilt(tiles, out, dtype)
     else:
-        write_image(rendering.colour_and_depth() if rgbd else rendering.picture(place, focus), out, dtype=dtype)
+        write_image(rendering.picture(place, focus), out, dtype=dtype)
     if not quiet:
         typer.echo(f"Wrote {out}.")

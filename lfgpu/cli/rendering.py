@@ -12,14 +12,11 @@ import typer
 
 from lfgpu.cli.options import Estimation
 from lfgpu.contract import Float32Array
-from lfgpu.data.filling import fill_unknown
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import VIEWS_FILE, check_writable, load, one_map
-from lfgpu.io.frames import write_image
-from lfgpu.viz.panels import quilt, quilt_name
+from lfgpu.io import VIEWS_FILE, load, one_map
 from lfgpu.viz.refocusing import all_in_focus, refocus
 from lfgpu.viz.rendering import Renderer, render_view
 
@@ -66,34 +63,6 @@ class Rendering:
             column = centre[0] + (0 if sweep == "down" else u * across)
             row = centre[1] + (0 if sweep == "across" else v * math.sin(turn))
             yield render(float(row), float(column)).image
-
-    def write_quilt(self, tiles: tuple[int, int], out: Path, dtype: str) -> Path:
-        """Write views on a line from the leftmost camera to the rightmost as one image, the first at the bottom left.
-
-        The file is named after the layout, as displays expect it: NAME_qsCOLUMNSxROWSaASPECT.png, unless NAME says it.
-        """
-        lf, (columns, rows) = self.lf, tiles
-        height, width = lf.size
-        if "_qs" not in out.stem:
-            out = out.with_name(f"{out.stem}{quilt_name(columns, rows, width / height)}{out.suffix}")
-            check_writable(out, folder=False)
-        left, right = lf.positions[:, 0].min(), lf.positions[:, 0].max()
-        if not right > left:
-            raise LightFieldError(
-                f"{lf.name} has no cameras beside each other; a quilt needs views from left to right."
-            )
-        middle, render = float(lf.positions[lf.reference_index][1]), self._renderer()
-        views = (render(middle, float(u)).image for u in np.linspace(left, right, columns * rows))
-        write_image(quilt(views, columns, rows), out, dtype=dtype)
-        return out
-
-    def colour_and_depth(self) -> Float32Array:
-        """Return the reference view and, beside it, its disparity from 0 (far) to 1 (near); gaps are filled."""
-        disparity = fill_unknown(self._map().disparity)
-        far, near = np.quantile(disparity, (0.001, 0.999))
-        grey = np.clip((disparity - far) / max(near - far, 1e-6), 0, 1)[..., None]
-        colour = self.lf.image(self.lf.reference_index)
-        return np.concatenate([colour, np.broadcast_to(grey, colour.shape)], axis=1).astype(np.float32)
 
     def _renderer(self) -> Renderer:
         return Renderer(self.lf, self._maps(), backend=self.estimation.backend, device=self.estimation.device)

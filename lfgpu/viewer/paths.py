@@ -1,23 +1,18 @@
-"""Paths of the eye in space: an orbit, and the views of a quilt."""
+"""Path of the eye in space: an orbit."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-COLUMNS, ROWS = 8, 6
-"""Of a quilt."""
-
-PICTURES = COLUMNS * ROWS
-"""Pictures of a film, and views of a quilt."""
+PICTURES = 48
+"""Pictures of a film."""
 
 _ASIDE, _ABOVE = math.radians(20), math.radians(8)  # of an orbit: how far it goes either way
-_CONE = math.radians(35)  # from the first view of a quilt to the last one
 
 
 @dataclass(frozen=True)
@@ -51,12 +46,3 @@ class Pose:
         aside, down = _ASIDE * math.sin(2 * math.pi * turn), _ABOVE * math.sin(4 * math.pi * turn)
         by = (math.cos(down) * math.sin(aside), math.sin(down), -math.cos(down) * math.cos(aside))
         return Pose(self.target + self.away * self.axes @ by, self.target, self.fov)
-
-    def beside(self) -> Iterator[tuple[NDArray[np.float64], float]]:
-        """Yield eyes from left to right that look in one direction, and where each sees what this one looks at.
-
-        That is how far to the right of the middle of the picture, in heights of the picture.
-        """
-        reach = self.away * math.tan(_CONE / 2)
-        for right in np.linspace(-reach, reach, PICTURES):
-            yield self.eye + right * self.axes[:, 0], -right / self.away / (2 * math.tan(self.fov / 2))

@@ -24,17 +24,17 @@ from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import QUANTITIES, Contents
 from lfgpu.viewer.glb import surface_glb
-from lfgpu.viewer.paths import COLUMNS, PICTURES, ROWS, Pose
+from lfgpu.viewer.paths import PICTURES, Pose
 from lfgpu.viewer.place import HOST
 from lfgpu.viewer.scene import Scene
 from lfgpu.viz.colours import LOOKS, painted
-from lfgpu.viz.panels import SLOPE, encoded, quilt, quilt_name, rgb
+from lfgpu.viz.panels import SLOPE, encoded, rgb
 from lfgpu.viz.pictures import beside_scale
 
 _EXPOSURE = 30.0  # at most, either way: every stored value is white or black before
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _ORBIT, _ORBIT_STEP = 9.0, 0.04  # seconds of an orbit, and between two of its steps
-_SIDES = {"picture": 4096, "mp4": 1280, "gif": 640, "quilt": 512}  # pixels of the longer side of what is saved, at most
+_SIDES = {"picture": 4096, "mp4": 1280, "gif": 640}  # pixels of the longer side of what is saved, at most
 _MESH_POINTS = 120_000  # of a surface
 _PAGES = {"light": (255, 255, 255), "dark": (20, 23, 28), "white": (255, 255, 255), "black": (0, 0, 0)}
 _CAMERAS = {False: (130, 138, 148), True: SLOPE}  # the reference camera stands out
@@ -99,7 +99,7 @@ class Space:
     def saved(self, form: str) -> tuple[bytes, str]:
         """Render what the frame shows, without marks, as a file; returns it with the end of its name.
 
-        A "picture" has a scale, "mp4" and "gif" are films of an orbit, a "quilt" has views for displays in space.
+        A "picture" has a scale, "mp4" and "gif" are films of an orbit.
         """
         from viser.transforms import SO3
 
@@ -115,30 +115,21 @@ class Space:
 
         drawn = count(1)
 
-        def seen(eye: NDArray[np.float64], target: NDArray[np.float64], wide: int = width) -> NDArray[np.uint8]:
+        def seen(one: Pose) -> NDArray[np.uint8]:
             say(f"picture {next(drawn)}{'' if form == 'picture' else f' of {PICTURES}'}")
-            turned = SO3.from_matrix(Pose(eye, target).axes).wxyz
-            where = {"position": eye, "wxyz": turned, "fov": pose.fov}
-            found = client.get_render(height=height, width=wide, transport_format="png", timeout=30.0, **where)
+            where = {"position": one.eye, "wxyz": SO3.from_matrix(one.axes).wxyz, "fov": one.fov}
+            found = client.get_render(height=height, width=width, transport_format="png", timeout=30.0, **where)
             alpha = found[..., 3:].astype(np.float32) / 255
             behind = np.array(_PAGES.get(self._scene.background, _PAGES["white"]), np.float32)
             return (found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8)
-
-        def tiles() -> Iterator[NDArray[np.uint8]]:
-            for eye, aside in pose.beside():  # of a wider picture, so that what is in the middle stays there
-                off = round(aside * height)
-                wide = seen(eye, eye + pose.target - pose.eye, width + 2 * abs(off))
-                yield wide[:, abs(off) + off : abs(off) + off + width]
 
         self._mark(visible=False)
         try:
             with self._board.working("Drawing points in space") as say:
                 if form == "picture":
-                    return _with_scale(seen(pose.eye, pose.target), self._scene, self._board.contents), ".png"
-                if form == "quilt":
-                    return encoded(quilt(tiles(), COLUMNS, ROWS)), f"{quilt_name(COLUMNS, ROWS, width / height)}.png"
+                    return _with_scale(seen(pose), self._scene, self._board.contents), ".png"
                 orbit = (pose.orbited(k / PICTURES) for k in range(PICTURES))
-                film = (np.divide(seen(one.eye, one.target), 255, dtype=np.float32) for one in orbit)
+                film = (np.divide(seen(one), 255, dtype=np.float32) for one in orbit)
                 return saving.written(lambda path: write_frames(film, path, fps=16), f".{form}"), f".{form}"
         except (TimeoutError, RuntimeError):
             raise LightFieldError("the browser did not draw the points in space; open the tab 3D.") from None

@@ -1,9 +1,7 @@
 """Pictures of views and EPIs as arrays of pixels, for pages and notebooks."""
 
 import io
-from collections.abc import Iterable
-from itertools import islice
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +12,6 @@ from lfgpu.data.lightfield import LightField
 Picture = NDArray[np.uint8]
 """An RGB picture, uint8 [y, x, 3]."""
 
-_T = TypeVar("_T", bound=np.generic)
 _EPI = 120  # pixels, roughly: the height of an EPI
 SLOPE = (255, 64, 129)
 
@@ -44,17 +41,6 @@ def epi_of_row(lf: LightField, y: int, *, wide: int) -> Picture:
 def epi_of_column(lf: LightField, x: int, *, wide: int) -> Picture:
     """Draw the EPI of image column `x`, with image rows from left to right, `wide` pixels wide."""
     return _epi(lf.epi_vertical(x), lf.scale, wide)
-
-
-def quilt(views: Iterable[NDArray[_T]], columns: int, rows: int) -> NDArray[_T]:
-    """Put views [y, x, c] of one size beside and above each other, the first at the bottom left."""
-    coming = iter(views)
-    return np.concatenate([np.concatenate(list(islice(coming, columns)), axis=1) for _ in range(rows)][::-1])
-
-
-def quilt_name(columns: int, rows: int, aspect: float) -> str:
-    """Return the end of the name of a quilt, by which displays know its layout."""
-    return f"_qs{columns}x{rows}a{aspect:.4g}"
 
 
 def encoded(picture: Picture | Image.Image) -> bytes:
