@@ -184,15 +184,6 @@ def test_downsampled_means_blocks(views: NDArray[np.uint8], light_field: LightFi
     assert light_field.downsampled(1).size == (HEIGHT, WIDTH)
 
 
-@pytest.mark.parametrize("which", ["cross", "row", [0, 3, 7]])
-def test_downsampled_some_views(light_field: LightField, which: Any) -> None:
-    some, expected = light_field.downsampled(2, which=which), light_field.subset(which).downsampled(2)
-    assert np.array_equal(some.views, expected.views)
-    assert np.array_equal(some.positions, expected.positions)
-    assert some.reference_index == expected.reference_index
-    assert len(some.views) < len(light_field.views)
-
-
 def views_of(n: int = 3, **changes: Any) -> dict[str, Any]:
     """Arguments of a good light field of n views in a row, with changes."""
     positions = np.stack([np.arange(n), np.zeros(n)], axis=1)
@@ -265,7 +256,6 @@ def test_masks_choose_views() -> None:
     lf = make("planes", grid=(3, 3), size=(8, 8))
     cross = [lf.index_of(v, u) for u, v in lf.subset(lf.pattern("cross")).positions]
     assert cross == [1, 3, 4, 5, 7]
-    assert len(lf.downsampled(2, which=np.ones(9, bool)).views) == 9
 
 
 @pytest.mark.parametrize("which", [None, [0.9, 2.7], ["a"], np.ones(5, bool), [[0, 1], [2, 3]]])

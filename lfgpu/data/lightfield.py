@@ -376,7 +376,14 @@ class LightField:
         if len(kept) == len(self.views):
             return self
         check_unchanged(self.views)
-        return self._with_views(kept, self.views[kept], None if self.valid is None else self.valid[kept])
+        return replace(
+            self,
+            views=self.views[kept],
+            valid=None if self.valid is None else self.valid[kept],
+            positions=self.positions[kept],
+            reference=int((kept < self.reference_index).sum()),
+            files=tuple(self.files[index] for index in kept) if self.files else (),
+        )
 
     def crop(self, y: slice, x: slice) -> LightField:
         """Crop every view to the same window; `y` and `x` are slices of pixel rows and columns, without a step."""
@@ -409,17 +416,15 @@ class LightField:
             files=(),
         )
 
-    def downsampled(self, factor: int, *, which: str | Sequence[int] | NDArray[Any] = "full") -> LightField:
+    def downsampled(self, factor: int) -> LightField:
         """Downsample all views by averaging blocks of `factor` x `factor` pixels.
 
         Views become float32, and disparities shrink by `factor`. A block is valid if all its pixels are. Incomplete
-        blocks at the right and lower edge are dropped, and so are geometry and ground truth. `which` chooses views as
-        in `subset`.
+        blocks at the right and lower edge are dropped, and so are geometry and ground truth.
         """
         check_whole("factor", factor, 1, min(self.size))
         height, width = (side // factor for side in self.size)
-        chosen = self.layout.chosen(which)
-        views = np.empty((len(chosen), height, width, self.channels), np.float32)
+        views = np.empty((len(self.views), height, width, self.channels), np.float32)
 
         def shrink(place: int, view: NDArray[Any]) -> None:
             # Sums over rows first, then over columns: faster than a mean over blocks.
@@ -428,25 +433,14 @@ class LightField:
             np.einsum("yxkc->yxc", rows.reshape(height, width, factor, -1), out=views[place])
             views[place] *= np.float32(self.scale / factor**2)
 
-        each_view(self.views, chosen.tolist(), shrink)
+        each_view(self.views, range(len(views)), shrink)
         valid = None
         if self.valid is not None:
-            cut = self.valid[chosen, : height * factor, : width * factor]
+            cut = self.valid[:, : height * factor, : width * factor]
             valid = np.asarray(cut.reshape(len(cut), height, factor, width, factor).all(axis=(2, 4)))
-        return self._with_views(chosen, views, valid, geometry=None, truth=None, files=())
+        return replace(self, views=views, valid=valid, geometry=None, truth=None, files=())
 
     # --- helpers ---
-
-    def _with_views(
-        self, chosen: NDArray[np.intp], views: NDArray[Any], valid: NDArray[np.bool_] | None, **others: Any
-    ) -> LightField:
-        """Return a light field of the chosen views, with new pixels `views` and other fields changed."""
-        fields = {
-            "positions": self.positions[chosen],
-            "reference": int((chosen < self.reference_index).sum()),
-            "files": tuple(self.files[index] for index in chosen) if self.files else (),
-        }
-        return replace(self, views=views, valid=valid, **{**fields, **others})
 
     def _find(self, u: float, v: float) -> int | None:
         found = np.flatnonzero(np.abs(self.positions - (u, v)).max(1) < POSITION_TOLERANCE)

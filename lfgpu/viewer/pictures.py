@@ -104,11 +104,11 @@ def refocused(
 ) -> NDArray[Any]:
     """Render a tile [y, x, c] of `lfgpu.refocus`, 2**level times smaller; LightFieldError if there is no such tile."""
     import_all()
-    from lfgpu.viz.refocusing import refocus, spread, within
+    from lfgpu.viz.refocusing import refocus, within
     from lfgpu.viz.splines import LINEAR
 
     window = _window(lf.size, level, column, row, side)
-    chosen = spread(lf, _QUICK_FOCUS_VIEWS if level else _FOCUS_VIEWS, within(lf, aperture))
+    chosen = _spread(lf, _QUICK_FOCUS_VIEWS if level else _FOCUS_VIEWS, within(lf, aperture))
     if len(chosen) == 1:
         return _small_view(lf, level, lf.reference_index, window)[0]
     part, inner = _around(lf.size, level, window, abs(disparity) * _farthest(lf, chosen))
@@ -119,20 +119,23 @@ def refocused(
 def sharp(contents: Contents, name: str, stage: str, level: int, column: int, row: int, side: int) -> NDArray[Any]:
     """Render a tile [y, x, c] of the reference view from all views, in focus everywhere, 2**level times smaller."""
     import_all()
-    from lfgpu.viz.refocusing import all_in_focus, spread
+    from lfgpu.viz.refocusing import all_in_focus
     from lfgpu.viz.splines import LINEAR
 
     lf, entry = contents.lf, contents.all_entries().get(name)
     if lf is None or entry is None:
         raise LightFieldError("a picture that is in focus everywhere needs a map; press Estimate.")
     window = _window(lf.size, level, column, row, side)
-    chosen = spread(lf, _SHARP_VIEWS)
+    chosen = _spread(lf, _SHARP_VIEWS, np.arange(len(lf.views)))
     low, high = entry.ends(stage)
     reach = max(-low, high, high - low) * _farthest(lf, chosen)  # of colours, and of what hides a point
     part, inner = _around(lf.size, level, window, reach)
     step = 2**level
     values = DisparityMap(np.ascontiguousarray(entry.stage(stage)[part][::step, ::step]) / np.float32(step))
-    return _encoded(all_in_focus(_smaller(lf, level, chosen, part), values, order=LINEAR)[inner], lf)
+    few = _smaller(lf, level, chosen, part)
+    known = np.isfinite(values.disparity).any()
+    picture = all_in_focus(few, values, order=LINEAR) if known else few.image(few.reference_index)
+    return _encoded(picture[inner], lf)
 
 
 def prepare() -> None:
@@ -222,6 +225,14 @@ def _between(at: float, step: float, low: float, high: float, side: int) -> rang
     """Return where the points that a view shows at `at` can be in the reference view, along one axis."""
     ends = sorted((at + low * step, at + high * step))
     return range(max(0, math.floor(ends[0] - 1)), min(side, math.ceil(ends[1] + 2)))
+
+
+def _spread(lf: LightField, most: int, among: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Choose at most so many of some views, evenly in their order, the reference among them."""
+    if len(among) <= most:
+        return among
+    chosen = among[np.linspace(0, len(among) - 1, most - 1).round().astype(np.intp)]
+    return np.unique(np.append(chosen, lf.reference_index))
 
 
 def _farthest(lf: LightField, chosen: NDArray[np.intp]) -> float:

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu.cameras.looking import checked_map
 from lfgpu.contract import Float32Array
 from lfgpu.data.layout import farthest
-from lfgpu.data.light_field_checks import check_number, check_whole
+from lfgpu.data.light_field_checks import check_number
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
@@ -25,8 +26,6 @@ def refocus(
     disparity: float,
     *,
     aperture: float | None = None,
-    step: int = 1,
-    most_views: int | None = None,
     order: int = CUBIC,
 ) -> Float32Array:
     """Refocus on one disparity by shift and add: the image of a lens as wide as the camera array.
@@ -40,10 +39,6 @@ def refocus(
     aperture
         Radius of the lens, view steps, >= 0: views whose cameras are farther from the reference camera are left out.
         Default None: all views.
-    step
-        Only every `step`-th pixel of each row and column is computed, >= 1, for previews. Default 1.
-    most_views
-        Of more views than this an even choice is taken, >= 2, for previews. Default: all views.
     order
         How colours between pixels are found: 3 (default), cubic splines; 1, bilinear, faster and a little softer.
 
@@ -64,15 +59,14 @@ def refocus(
     """
     check_light_field(lf)
     check_number("the disparity to focus on", disparity, -_LARGEST, _LARGEST)
-    _check_preview(step, most_views, order)
-    height, width = (len(range(0, side, step)) for side in lf.size)
-    total, count = np.zeros((height, width, lf.channels), np.float32), np.zeros((height, width), np.float32)
-    for n in spread(lf, most_views, within(lf, aperture)):
+    _check_order(order)
+    total, count = np.zeros((*lf.size, lf.channels), np.float32), np.zeros(lf.size, np.float32)
+    for n in within(lf, aperture):
         move = tuple(-disparity * lf.offsets[n, axis] for axis in (1, 0))
         picture = lf.views[n] if order == LINEAR else np.moveaxis(spline(lf.image(n)), 0, 2)
-        where, colour = shifted(picture, move, step, order)
+        where, colour = shifted(picture, move, order)
         if lf.valid is not None:
-            seen = shifted(lf.valid[n][..., None], move, step, LINEAR)[1][..., 0] > 1 - 1e-3
+            seen = shifted(lf.valid[n][..., None], move, LINEAR)[1][..., 0] > 1 - 1e-3
             colour *= seen[..., None]
             count[where] += seen
         else:
@@ -85,8 +79,6 @@ def all_in_focus(
     lf: LightField,
     result: DepthResult | DisparityMap,
     *,
-    step: int = 1,
-    most_views: int | None = None,
     order: int = CUBIC,
     backend: BackendName = DEFAULT,
     device: str | None = None,
@@ -99,8 +91,8 @@ def all_in_focus(
         The light field.
     result
         The map of its reference view.
-    step, most_views, order
-        For previews, as for `refocus`.
+    order
+        As for `refocus`.
     backend, device
         As for `estimate_depth`; they find occlusions.
 
@@ -123,40 +115,26 @@ def all_in_focus(
     (64, 80, 3)
     """
     check_light_field(lf)
-    _check_preview(step, most_views, order)
-    if result.disparity.shape != lf.size:
-        raise LightFieldError(
-            f"the map has {result.disparity.shape[0]} x {result.disparity.shape[1]} pixels, but the views have "
-            f"{lf.size[0]} x {lf.size[1]} (height x width); give a map of {lf.name}."
-        )
-    u, v = lf.positions[lf.reference_index]
-    if result.position is not None and not np.allclose(result.position, (u, v), atol=1e-6):
-        raise LightFieldError(
-            f"the map belongs to the view at row {result.position[1]:g}, column {result.position[0]:g}, but the "
-            f"reference view is at row {v:g}, column {u:g}; make the view of the map the reference with "
-            "lf.with_reference."
-        )
+    _check_order(order)
+    disparity = checked_map(lf, result)
     kernels = load(backend)
     place = pick_device(kernels, device)
-    disparity = np.where(np.isfinite(result.disparity), result.disparity, 0).astype(np.float32)
-    chosen = spread(lf, most_views)
+    known = np.isfinite(disparity)
+    disparity = np.where(known, disparity, np.float32(0))
     with kernels.asking(place):
-        visible = kernels.zeros((len(chosen), *lf.size), place)
+        visible = kernels.zeros(lf.views.shape[:3], place)
         kernels.visible(
             kernels.field(disparity, place),
-            kernels.field(lf.offsets[chosen], place),
+            kernels.field(lf.offsets, place),
             tolerance=_HIDDEN / farthest(lf.offsets),
             visible_out=visible,
         )
-        every = np.s_[::step, ::step]
-        seen = kernels.numpy(visible)[:, ::step, ::step].astype(np.float32)
-    disparity, known = disparity[every], np.isfinite(result.disparity[every])
-    reference = lf.image(lf.reference_index)[every]
-    trusted = np.ones(known.shape, np.bool_) if lf.valid is None else lf.valid[lf.reference_index][every]
-    height, width = lf.size
-    y, x = np.mgrid[0:height:step, 0:width:step].astype(np.float32)
+        seen = kernels.numpy(visible).astype(np.float32)
+    reference = lf.image(lf.reference_index)
+    trusted = np.ones(known.shape, np.bool_) if lf.valid is None else lf.valid[lf.reference_index]
+    y, x = np.mgrid[: lf.size[0], : lf.size[1]].astype(np.float32)
     total, weights = np.zeros_like(reference), np.zeros(known.shape, np.float32)
-    for n, sees in zip(chosen, seen, strict=True):
+    for n, sees in enumerate(seen):
         du, dv = lf.offsets[n].astype(np.float32)
         at = np.stack([y - disparity * dv, x - disparity * du])
         weight = np.where(known, sees, np.float32(n == lf.reference_index))
@@ -180,18 +158,6 @@ def within(lf: LightField, aperture: float | None) -> NDArray[np.intp]:
     return np.flatnonzero(np.hypot(*lf.offsets.T) <= aperture + _SAME_CAMERA)
 
 
-def spread(lf: LightField, most: int | None, among: NDArray[np.intp] | None = None) -> NDArray[np.intp]:
-    """Choose at most so many views, evenly over the order in which they are stored, the reference among them."""
-    among = np.arange(len(lf.views)) if among is None else among
-    if most is None or len(among) <= most:
-        return among
-    chosen = among[np.linspace(0, len(among) - 1, most - 1).round().astype(np.intp)]
-    return np.unique(np.append(chosen, lf.reference_index))
-
-
-def _check_preview(step: int, most_views: int | None, order: int) -> None:
-    check_whole("step", step, 1)
-    if most_views is not None:
-        check_whole("most_views", most_views, 2)
+def _check_order(order: int) -> None:
     if order not in (LINEAR, CUBIC):
         raise LightFieldError(f"order must be {LINEAR} (bilinear) or {CUBIC} (cubic splines), not {order}.")

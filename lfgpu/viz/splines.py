@@ -46,15 +46,13 @@ def valid_at(valid: np.ndarray, at: Float32Array) -> np.ndarray:
     return np.asarray(sampled(valid.astype(np.float32), at, LINEAR) > 1 - 1e-3)
 
 
-def shifted(
-    values: NDArray[Any], move: tuple[float, ...], step: int, order: int
-) -> tuple[tuple[slice, slice], Float32Array]:
-    """Sample the place `move` beside every `step`-th pixel: as `colours`, but faster, as all pixels have one move.
+def shifted(values: NDArray[Any], move: tuple[float, ...], order: int) -> tuple[tuple[slice, slice], Float32Array]:
+    """Sample the place `move` beside every pixel: as `colours`, but faster, as all pixels have one move.
 
     `values` [y, x, c] are the coefficients of `spline`, or for order 1 the pixels themselves. Returns which of these
     pixels have their place inside the frame, as slices of rows and columns, and float32 [y, x, c] there.
     """
-    rows, columns = (_taps(m, side, step, order) for m, side in zip(move, values.shape[:2], strict=True))
+    rows, columns = (_taps(m, side, order) for m, side in zip(move, values.shape[:2], strict=True))
     padded = np.pad(values, ((_PAD, _PAD), (_PAD, _PAD), (0, 0)), mode="reflect")
     down = _weighted((padded[place], weight) for place, weight in rows[1])
     return (rows[0], columns[0]), _weighted((down[:, place], weight) for place, weight in columns[1])
@@ -71,8 +69,8 @@ def _weighted(terms: Iterable[tuple[NDArray[Any], np.float32]]) -> Float32Array:
     return total
 
 
-def _taps(move: float, length: int, step: int, order: int) -> tuple[slice, list[tuple[slice, np.float32]]]:
-    """Return which pixels 0, step ... of an axis have their place inside, and the weights of the padded axis."""
+def _taps(move: float, length: int, order: int) -> tuple[slice, list[tuple[slice, np.float32]]]:
+    """Return which pixels of an axis have their place inside, and the weights of the padded axis."""
     whole = math.floor(move)
     t = move - whole
     s = 1 - t
@@ -81,12 +79,11 @@ def _taps(move: float, length: int, step: int, order: int) -> tuple[slice, list[
     else:  # the cubic B-spline at distances 1 + t, t, s, 1 + s
         near = {0: (4 - 6 * t**2 + 3 * t**3) / 6, 1: (4 - 6 * s**2 + 3 * s**3) / 6}
         weights = {-1: s**3 / 6, **near, 2: t**3 / 6}
-    first = max(0, math.ceil(-move / step))
-    count = max(0, math.floor((length - 1 - move) / step) + 1 - first)
-    count = min(count, max(0, len(range(0, length, step)) - first))
-    start = first * step + whole + _PAD
+    first = max(0, math.ceil(-move))
+    count = max(0, min(math.floor(length - 1 - move) + 1, length) - first)
+    start = first + whole + _PAD
     taps = [
-        (slice(start + tap, start + tap + (count - 1) * step + 1, step) if count else slice(0, 0), np.float32(weight))
+        (slice(start + tap, start + tap + count) if count else slice(0, 0), np.float32(weight))
         for tap, weight in weights.items()
     ]
     return slice(first, first + count), taps
