@@ -12,9 +12,9 @@ import platform
 import re
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -138,36 +138,6 @@ _FROM_REFERENCE = 1e-3  # px per view step, in the median
 
 
 @dataclass(frozen=True)
-class Device:
-    """A device that a backend can use."""
-
-    backend: str
-    device: str
-    name: str | None
-    memory_bytes: int | None
-
-
-@dataclass(frozen=True)
-class Cache:
-    """The folder in which a backend keeps compiled kernels."""
-
-    backend: str
-    folder: str
-    bytes: int
-    writable: bool
-
-
-@dataclass(frozen=True)
-class Part:
-    """An optional part of the package."""
-
-    extra: str
-    purpose: str
-    missing: tuple[str, ...]
-    """The packages that it needs and that are not installed."""
-
-
-@dataclass(frozen=True)
 class Trial:
     """One step of the self-test."""
 
@@ -179,87 +149,86 @@ class Trial:
     """Median distance of the map from that of the reference backend, px per view step."""
     problem: str | None = None
 
+    def __str__(self) -> str:
+        if self.problem:
+            return f"failed after {self.seconds:.1f} s"
+        distances = (("ground truth", self.from_truth), ("reference", self.from_reference))
+        told = (f", {distance:.1g} px from the {what}" for what, distance in distances if distance is not None)
+        return f"passed in {self.seconds:.1f} s{''.join(told)}"
+
 
 @dataclass(frozen=True)
 class Checkup:
-    """All that was found, and a sentence for each problem."""
+    """All that was found: labels and texts by title, the trials, and a sentence for each problem."""
 
-    versions: dict[str, str]
-    devices: tuple[Device, ...]
-    caches: tuple[Cache, ...]
-    memory: dict[str, int | None]
-    """Bytes of the machine, of it those that are free, and the room for temporary files; None if unknown."""
-    threads: int
-    parts: tuple[Part, ...]
+    facts: dict[str, list[tuple[str, str]]]
     trials: tuple[Trial, ...]
     problems: tuple[str, ...]
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all of it in dictionaries, lists, texts and numbers."""
-        return asdict(self)
 
 
 def examine() -> Checkup:
     """Examine the installation and run the self-test."""
     backends = describe_backends()
-    caches, parts = tuple(_caches(backends)), tuple(_parts())
-    trials = tuple(_trials(backends, parts))
-    return Checkup(
-        _versions(),
-        tuple(_devices(backends)),
-        caches,
-        _memory(),
-        get_threads(),
-        parts,
-        trials,
-        (
-            *_of_backends(backends),
-            *(_of_cache(cache) for cache in caches if not cache.writable),
-            *(trial.problem for trial in trials if trial.problem),
-        ),
-    )
+    caches = {
+        info.name: Path(folder)
+        for info in backends
+        if info.problem is None and (folder := load(info.name).kernel_cache()) is not None
+    }
+    missing = {extra: [name for name in sorted(needed(extra)) if version_of(name) is None] for extra in PARTS}
+    trials = tuple(_trials(backends, [extra for extra, lost in missing.items() if not lost]))
+    facts = {
+        "Versions": list(_versions()),
+        "Devices": [(info.name, _device(device)) for info in backends for device in info.devices],
+        "Kernel cache": [(name, f"{folder}, {_size(_bytes_in(folder))}") for name, folder in caches.items()],
+        "Memory": list(_memory()),
+        "Optional parts": [(extra, _part(extra, lost)) for extra, lost in missing.items()],
+        "Self-test": [(trial.what, str(trial)) for trial in trials],
+    }
+    unwritable = (_of_cache(name, folder) for name, folder in caches.items() if not _writable(folder))
+    told = (trial.problem for trial in trials if trial.problem)
+    return Checkup(facts, trials, (*_of_backends(backends), *unwritable, *told))
 
 
 # --- what is there ---
 
 
-def _versions() -> dict[str, str]:
-    """Return the versions of lfgpu, Python, the system, and the packages that lfgpu cannot do without."""
-    needed = sorted({name for name, extra in _requirements() if extra is None})
-    return {
-        "lfgpu": version_of("lfgpu") or "not installed",
-        "python": platform.python_version(),
-        "system": platform.platform(),
-        **{name: version_of(name) or "not installed" for name in needed},
-    }
+def _versions() -> Iterator[tuple[str, str]]:
+    """Yield the versions of lfgpu, Python, the system, and the packages that lfgpu cannot do without."""
+    yield "lfgpu", version_of("lfgpu") or "not installed"
+    yield "python", platform.python_version()
+    yield "system", platform.platform()
+    for name in sorted(needed(None)):
+        yield name, version_of(name) or "not installed"
 
 
-def _requirements() -> Iterator[tuple[str, str | None]]:
-    """Yield the packages that lfgpu asks for, each with the extra that it belongs to."""
+def needed(extra: str | None) -> set[str]:
+    """Return the packages that lfgpu asks for: those of an extra, or, for None, those that it cannot do without."""
+    found = set()
     for line in importlib.metadata.requires("lfgpu") or () if version_of("lfgpu") else ():
-        name, extra = re.match(r"[\w.-]+", line), re.search(r"extra == ['\"](\w+)['\"]", line)
-        if name and name[0] != "lfgpu":
-            yield name[0], extra[1] if extra else None
+        name, of = re.match(r"[\w.-]+", line), re.search(r"extra == ['\"](\w+)['\"]", line)
+        if name and name[0] != "lfgpu" and (of[1] if of else None) == extra:
+            found.add(name[0])
+    return found
 
 
-def _parts() -> Iterator[Part]:
-    for extra, purpose in PARTS.items():
-        needed = sorted({name for name, of in _requirements() if of == extra})
-        yield Part(extra, purpose, tuple(name for name in needed if version_of(name) is None))
+def _device(device: str) -> str:
+    memory = device_memory(device)
+    return ": ".join(filter(None, [device, device_name(device)])) + (f", {_size(memory)}" if memory else "")
 
 
-def _devices(backends: tuple[BackendInfo, ...]) -> Iterator[Device]:
-    for info in backends:
-        for device in info.devices:
-            yield Device(info.name, device, device_name(device), device_memory(device))
+def _memory() -> Iterator[tuple[str, str]]:
+    sizes = {"machine": physical_memory(), "free": free_memory()}
+    yield from ((label, _size(size) if size else "unknown") for label, size in sizes.items())
+    yield "temporary files", f"{_size(shutil.disk_usage(tempfile.gettempdir()).free)} free"
+    yield "threads", str(get_threads())
 
 
-def _caches(backends: tuple[BackendInfo, ...]) -> Iterator[Cache]:
-    for info in backends:
-        folder = load(info.name).kernel_cache() if info.problem is None else None
-        if folder is not None:
-            files = [path for path in Path(folder).rglob("*") if path.is_file()]
-            yield Cache(info.name, folder, sum(path.stat().st_size for path in files), _writable(Path(folder)))
+def _part(extra: str, missing: list[str]) -> str:
+    return f"not installed: {PARTS[extra]}; pip install -e '.[{extra}]'" if missing else f"installed: {PARTS[extra]}"
+
+
+def _bytes_in(folder: Path) -> int:
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _writable(folder: Path) -> bool:
@@ -268,12 +237,8 @@ def _writable(folder: Path) -> bool:
     return there.is_dir() and os.access(there, os.W_OK | os.X_OK)
 
 
-def _memory() -> dict[str, int | None]:
-    return {
-        "machine": physical_memory() or None,
-        "free": free_memory(),
-        "temporary files": shutil.disk_usage(tempfile.gettempdir()).free,
-    }
+def _size(size: int) -> str:
+    return f"{size / 2**30:.1f} GiB" if size >= 2**30 else f"{size / 2**20:.1f} MiB"
 
 
 # --- what is wrong ---
@@ -287,9 +252,9 @@ def _of_backends(backends: tuple[BackendInfo, ...]) -> Iterator[str]:
             yield f"The backend {info.name} {info.problem.rstrip('.')}{remedy}."
 
 
-def _of_cache(cache: Cache) -> str:
+def _of_cache(backend: str, folder: Path) -> str:
     return (
-        f"The backend {cache.backend} cannot keep compiled kernels in {cache.folder}: make this folder writable, or "
+        f"The backend {backend} cannot keep compiled kernels in {folder}: make this folder writable, or "
         "name another one (WARP_CACHE_PATH for Warp, TI_OFFLINE_CACHE_FILE_PATH for Taichi)."
     )
 
@@ -297,13 +262,13 @@ def _of_cache(cache: Cache) -> str:
 # --- whether it works ---
 
 
-def _trials(backends: tuple[BackendInfo, ...], parts: tuple[Part, ...]) -> Iterator[Trial]:
+def _trials(backends: tuple[BackendInfo, ...], extras: Iterable[str]) -> Iterator[Trial]:
     """Try files of all formats whose packages are there, then an estimate on each device, the reference first."""
     lf = make(_SCENE, grid=_GRID, size=_SIZE, disparity_range=_RANGE)
     yield _files(lf)
-    for part in parts:
-        if not part.missing and part.extra in TRIALS:
-            yield _of_part(part.extra, lf)
+    for extra in extras:
+        if extra in TRIALS:
+            yield _of_part(extra, lf)
     expected: NDArray[Any] | None = None
     for info in sorted(backends, key=lambda info: info.name != "reference"):
         for device in info.devices:
@@ -337,7 +302,7 @@ def _of_part(extra: str, lf: LightField) -> Trial:
             said = f"what is read differs by {apart:.3g} from what was written"
     except Exception as error:  # what a library raises that does not fit is anything
         said = (" ".join(str(error).split()) or type(error).__name__).rstrip(".")
-    needs = ", ".join(f"{name} {version_of(name)}" for name, of in _requirements() if of == extra)
+    needs = ", ".join(f"{name} {version_of(name)}" for name in sorted(needed(extra)))
     problem = f"The part {extra} does not work with {needs} ({said}); {how_to_install(extra)}." if said else None
     return Trial(f"extra {extra}", perf_counter() - start, problem=problem)
 
