@@ -289,6 +289,16 @@ def test_a_rehearsal_loads_all_kernels_at_once_and_computes_nothing(monkeypatch:
     assert all(name.startswith("lfgpu-compiling") for name in loads)
 
 
+def test_measuring_loads_no_kernel_that_was_not_rehearsed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(threads, "_loaded", set())
+    monkeypatch.setattr(rehearsal, "_known", set())
+    lf, place, method = scenes.make("relief", grid=(3, 3), size=(96, 128)), open_device(device="cpu"), method_of("fast")
+    rehearsal.Rehearsal(method, lf, place).measure(None)
+    loaded = set(threads._loaded)
+    method.measure(lf, place)
+    assert threads._loaded == loaded
+
+
 def test_prepared_work_is_still_to_be_done(target: Any) -> None:
     kernels, device = target.kernels, target.device
     field, calls = kernels.zeros((4, 5), device), []

@@ -14,7 +14,7 @@ from lfgpu.methods.base import Method
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.measured import Measured
 
-_SIDE = 32  # pixels of the part
+_SIDE = 48  # pixels of the part: the least that the search for a range looks at in two sizes
 _RANGE = -1.0, 1.0  # pixels per view step: any will do
 
 _known: set[tuple[object, ...]] = set()
