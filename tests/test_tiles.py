@@ -285,7 +285,7 @@ def test_other_sizes_are_refused(text: str | int) -> None:
 def test_too_little_memory_is_an_error_that_says_how_much_it_takes(scene: LightField) -> None:
     with pytest.raises(
         LightFieldError,
-        match=r"max_memory of 401 MiB is too small: 6\d\d MiB are needed, of which 500 MiB are for the process",
+        match=r"max_memory of 401 MiB is too small: 5\d\d MiB are needed, of which 500 MiB are for the process",
     ):
         estimate_depth(scene, config="fast", disparity_range=RANGE, device="cpu", max_memory="420MB")
 

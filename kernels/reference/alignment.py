@@ -38,18 +38,18 @@ def largest_around(values: Array, radius: int) -> Array:
 
 
 class ZBuffer:
-    def __init__(self, shape: Sequence[int], offsets: Array, *, reach: int) -> None:
-        self._offsets, self._reach = offsets, reach
+    def __init__(self, size: Sequence[int], device: str, *, reach: int) -> None:
+        pass
 
-    def __call__(self, disparity: Array, nearest_out: Array) -> None:
-        (height, width), border = disparity.shape, self._reach + 1
-        for nearest, offset in zip(nearest_out, self._offsets, strict=True):
+    def __call__(self, disparity: Array, offsets: Array, nearest_out: Array, *, reach: int) -> None:
+        (height, width), border = disparity.shape, reach + 1
+        for nearest, offset in zip(nearest_out, offsets, strict=False):
             front = np.full((height + 2 * border, width + 2 * border), NOWHERE)
             x, y = (rounded(place) + border for place in landing(disparity, offset))
             there = (x >= 0) & (x < front.shape[1]) & (y >= 0) & (y < front.shape[0])
             np.maximum.at(front, (y[there], x[there]), disparity[there])
-            near = largest_around(front[1:-1, 1:-1], self._reach)
-            nearest[:] = np.where(near > NOWHERE, near, largest_around(front, self._reach + 1))
+            near = largest_around(front[1:-1, 1:-1], reach)
+            nearest[:] = np.where(near > NOWHERE, near, largest_around(front, reach + 1))
 
 
 z_buffer = ZBuffer

@@ -67,5 +67,6 @@ def nlm_plane(
 def nlm_on_surface(weights: Array, guide: Array, *, window: int, support: float, weights_out: Array) -> None:
     for w, out, (dy, dx) in zip(weights, weights_out, half_window(window), strict=True):
         here, there = overlap(guide.shape, dy, dx)
+        shared = w[here] / (1 + ((guide[there] - guide[here]) / support) ** 2)
         out[:] = 0
-        out[here] = w[here] / (1 + ((guide[there] - guide[here]) / support) ** 2)
+        out[here] = shared

@@ -101,13 +101,14 @@ def _nearest_kernel(cpu: bool) -> Any:
     return nearest_kernel
 
 
-def z_buffer(shape: Sequence[int], offsets: DeviceArray, *, reach: int) -> ZBuffer:
-    count, height, width, _ = shape
+def z_buffer(size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
+    height, width = size
     room = (height + 2 * reach + 2) * (width + 2 * reach + 2)
-    batch = min(count, _TOGETHER if on_cpu() else max(1, _BUFFER // (4 * room)))
+    batch = _TOGETHER if on_cpu() else max(1, _BUFFER // (4 * room))
     fronts, kernel = empty((batch * room,), scalar=ti.i32), _nearest_kernel(on_cpu())
 
-    def find(disparity: DeviceArray, nearest_out: DeviceArray) -> None:
+    def find(disparity: DeviceArray, offsets: DeviceArray, nearest_out: DeviceArray, *, reach: int) -> None:
+        count = offsets.shape[0]
         for first in range(0, count, batch):
             some = first, min(batch, count - first), reach, height, width
             run(kernel, disparity, offsets, *some, fronts, nearest_out)

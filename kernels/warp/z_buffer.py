@@ -31,38 +31,39 @@ def _gpu_kernels(border: int) -> list[Any]:
     return [kernel("z_buffer.cuh", name, **numbers) for name in ("land", "look_around")]
 
 
-def z_buffer(shape: Sequence[int], offsets: Any, *, reach: int) -> ZBuffer:
+def z_buffer(size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
     assert 0 <= reach <= 100, f"reach is {reach}: a row of look_around has room for less than 128 on a CPU"
-    (count, height, width, _), device, pairs, border = shape, offsets.device, as_offsets(offsets), reach + 1
-    size = (height + 2 * border) * (width + 2 * border)
-    if not device.is_cpu:
-        return _gpu_z_buffer((count, height, width), pairs, border)
-    room = [wp.empty(size, dtype=float, device=device) for _ in slices(device, count)]
+    (height, width), place = size, wp.get_device(device)
+    room = (height + 2 * reach + 2) * (width + 2 * reach + 2)
+    if not place.is_cpu:
+        return _gpu_z_buffer((height, width), room, place)
+    rooms = [wp.empty(room, dtype=float, device=place) for _ in slices(place, room)]
 
     clear, land, look_around = _cpu_kernels()
 
-    def find(disparity: Any, nearest_out: Any) -> None:
-        load(device, clear)
+    def find(disparity: Any, offsets: Any, nearest_out: Any, *, reach: int) -> None:
+        pairs, used = as_offsets(offsets), (height + 2 * reach + 2) * (width + 2 * reach + 2)
+        load(place, clear)
 
         def some_views(k: int, first: int, last: int) -> None:
+            fronts = rooms[k][:used]
             for n in range(first, last):
-                launch(clear, 1, [], [room[k]], device=device)
-                launch(land, height, [disparity, pairs, n, border], [room[k]], device=device)
-                launch(look_around, height, [room[k], reach], [nearest_out[n : n + 1]], device=device)
+                launch(clear, 1, [], [fronts], device=place)
+                launch(land, height, [disparity, pairs, n, reach + 1], [fronts], device=place)
+                launch(look_around, height, [fronts, reach], [nearest_out[n : n + 1]], device=place)
 
-        in_slices(device, count, some_views)
+        in_slices(place, len(pairs), some_views)
 
     return find
 
 
-def _gpu_z_buffer(shape: tuple[int, int, int], pairs: Any, border: int) -> ZBuffer:
-    (count, height, width), device, (land, look_around) = shape, pairs.device, _gpu_kernels(border)
-    size = (height + 2 * border) * (width + 2 * border)
-    batch = min(count, max(1, _BUFFER // (4 * size)))
-    keys = wp.empty(batch * size, dtype=wp.uint32, device=device)
+def _gpu_z_buffer(size: tuple[int, int], room: int, device: Any) -> ZBuffer:
+    (height, width), batch = size, max(1, _BUFFER // (4 * room))
+    keys = wp.empty(batch * room, dtype=wp.uint32, device=device)
     check_size(height * width)
 
-    def find(disparity: Any, nearest_out: Any) -> None:
+    def find(disparity: Any, offsets: Any, nearest_out: Any, *, reach: int) -> None:
+        pairs, (land, look_around), count = as_offsets(offsets), _gpu_kernels(reach + 1), len(offsets)
         for first in range(0, count, batch):
             last = min(count, first + batch)
             keys.zero_()

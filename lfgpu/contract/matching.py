@@ -102,7 +102,7 @@ class PlaneSweep(Protocol):
         """
 
     def by_visibility(self, nearest: Array, cost: SweepCost, volume_out: Array) -> None:
-        """volume [l, y, x]: the mean cost over the views that see p at d_l past the surface in `nearest` [n, y, x].
+        """volume [l, y, x]: the mean cost over the views that see p at d_l past the surface in `nearest` [m, y, x].
 
         It is the mean of c_n over the views that take part and for which d_l >= nearest_n - tolerance at the pixel
         nearest to p - d_l o_n; with fewer than `least` of them, the most there is. See `KernelSet.z_buffer`.
@@ -110,10 +110,12 @@ class PlaneSweep(Protocol):
 
 
 class ZBuffer(Protocol):
-    """The nearest surface that comes near each pixel of each view, planned for light fields of one kind."""
+    """The nearest surface that comes near each pixel of each view, planned for views of one size."""
 
-    def __call__(self, disparity: Array, nearest_out: Array) -> None:
-        """nearest [n, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
+    def __call__(self, disparity: Array, offsets: Array, nearest_out: Array, *, reach: int) -> None:
+        """nearest [m, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
+
+        Views beyond the `offsets` [n, 2] are left as they are, and so they are wherever `nearest` is read.
 
         It is the maximum of d_p over the reference pixels p for which p - d_p o_n, rounded (x + 1/2 down), is at most
         `reach` pixels away in x and in y, also beyond the frame; where there is none, at most `reach` + 1; where
@@ -161,8 +163,8 @@ class Matching(Protocol):
     ) -> PlaneSweep:
         """Plan a sweep over views of `shape` [n, y, x, c]; the fields in `views` are read once."""
 
-    def z_buffer(self, shape: Sequence[int], offsets: Array, *, reach: int) -> ZBuffer:
-        """Plan the nearest surfaces of views of `shape` [n, y, x, c]; `reach` is in pixels, 0 to 100."""
+    def z_buffer(self, size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
+        """Plan the nearest surfaces in views of a size (y, x), with a reach of up to so many pixels, 0 to 100."""
 
     def alignment(
         self,

@@ -96,7 +96,7 @@ class Prior(Protocol):
         """
 
     def nlm_on_surface(self, weights: Array, guide: Array, *, window: int, support: float, weights_out: Array) -> None:
-        """v_pq of `nlm_ratio` as weights [k, y, x]; `weights_out` is not `weights`."""
+        """v_pq of `nlm_ratio` as weights [k, y, x]; `weights_out` may be `weights`."""
 
     def nlm_average(self, weights: Array, volume: Array, *, window: int, average_out: Array) -> None:
         """Average each slice over each pixel's window with the non-local-means weights, itself with weight 1.

@@ -111,10 +111,10 @@ class DryKernels:
             self._count(shape[:3], 2)
         return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
 
-    def z_buffer(self, shape: Sequence[int], offsets: Any, *, reach: int) -> DryOperation:
+    def z_buffer(self, size: Sequence[int], device: str, *, reach: int) -> DryOperation:
         """Count the surfaces of each slice of the work."""
         if not self._on_gpu:
-            self._count((_SLICES, *shape[1:3]), _FLOAT)
+            self._count((_SLICES, *size), _FLOAT)
         return DryOperation()
 
     def alignment(self, shape: Sequence[int], offsets: Any, **numbers: float) -> DryOperation:

@@ -191,6 +191,7 @@ class Join:
         self._landing = [device.field(values) for values in np.where(known, maps, np.float32(-_UNKNOWN))]
         self._maps = np.where(known, maps, np.float32(_UNKNOWN))
         self._landed = device.zeros((1, *self._size))
+        self._carry = device.kernels.z_buffer(self._size, device.name, reach=0)
 
     def __call__(self, position: Float64Array) -> tuple[Float32Array, Float32Array]:
         """Disparity and confidence [y, x] of the view at `position` (u, v); NaN where no key view shows the point."""
@@ -243,8 +244,7 @@ class Join:
     def _carried(self, key: int, step: Float64Array) -> Float32Array:
         """Warp the map [y, x] of a key view into a view `-step` away from it; < _LANDED where nothing lands."""
         offset = self._device.field(-step[None])
-        carry = self._device.kernels.z_buffer((1, *self._size, 1), offset, reach=0)
-        carry(self._landing[key], self._landed)
+        self._carry(self._landing[key], offset, self._landed, reach=0)
         return self._device.kernels.numpy(self._landed)[0].astype(np.float32)
 
 

@@ -170,10 +170,11 @@ CLEAR = 1e-4
 
 def z_buffer(desk: Desk, i: SimpleNamespace) -> Outputs:
     """After that of another map, which leaves no trace."""
-    plan = desk.kernels.z_buffer(i.recorded.shape, desk.field(i.offsets), reach=i.reach)
-    out = desk.out(i.recorded.shape[:3])
-    plan(desk.field(i.disparity[::-1, ::-1] + 1), out)
-    plan(desk.field(i.disparity), out)
+    count, height, width, _ = i.recorded.shape
+    plan = desk.kernels.z_buffer((height, width), desk.device, reach=max(i.reach, 2))
+    offsets, out = desk.field(i.offsets), desk.out((count, height, width))
+    plan(desk.field(i.disparity[::-1, ::-1] + 1), offsets, out, reach=2)
+    plan(desk.field(i.disparity), offsets, out, reach=i.reach)
     return {"nearest": out}
 
 
@@ -215,10 +216,11 @@ def nlm_plane(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def nlm_on_surface(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = desk.out(i.weights.shape)
+    out, changed = desk.out(i.weights.shape), desk.kernels.field(i.weights, desk.device)
     options = {name: i.options[name] for name in ("window", "support")}
-    desk.kernels.nlm_on_surface(desk.field(i.weights), desk.field(i.guide), **options, weights_out=out)
-    return {"weights": out}
+    for weights, weights_out in ((desk.field(i.weights), out), (changed, changed)):
+        desk.kernels.nlm_on_surface(weights, desk.field(i.guide), **options, weights_out=weights_out)
+    return {"weights": out, "in place": changed}
 
 
 def refine_boundaries(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -355,7 +357,7 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
     inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
     offsets = kernels.field(values["offsets"], device)
     weights = kernels.field(np.full((12, *views.shape[1:3]), 0.5), device)
-    surface = kernels.z_buffer(views.shape, offsets, reach=1)
+    surface = kernels.z_buffer(views.shape[1:3], device, reach=1)
     plan = kernels.alignment(
         views.shape, offsets, scale=1.0, gradient_weight=2.0, contrast=0.5, robust=0.25, tolerance=0.30078125
     )
@@ -366,7 +368,7 @@ def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Prog
 
     def work() -> None:
         plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
-        surface(inputs["disparity"], nearest)
+        surface(inputs["disparity"], offsets, nearest, reach=1)
         plan(inputs["disparity"], nearest, curvature, slope)
         fields = weights, inputs["disparity"], slope, curvature
         kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)

@@ -8,9 +8,7 @@ import numpy as np
 
 from lfgpu.contract import Array, Scalar
 from lfgpu.data.layout import ViewLayout
-from lfgpu.methods.arena import Arena
 from lfgpu.methods.base import Callback
-from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.frame import Frame, Loaded
 
 _SUREST = 0.02  # pixels in the farthest view: no map is better than this
@@ -28,10 +26,10 @@ class Alignment:
         self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, frame.prior, frame.bounds
         self._tuning, self._farthest = config.tuning.alignment, frame.layout.farthest
         self._reach = self._tuning.reach * frame.disparities.step
-        self._last = _Step(arena, frame.layout, config, self._farthest)
+        self._last = _Step(frame, frame.layout)
         self._first = self._last
         if frame.compared_layout is not frame.layout:
-            self._first = _Step(arena, frame.compared_layout, config, self._farthest)
+            self._first = _Step(frame, frame.compared_layout)
         self.moves = [arena.device.scalar(0.0) for _ in range(config.alignment.iterations)]
         """Sums over the squares of each step."""
         self.trust = arena.device.scalar(0.0)
@@ -126,21 +124,20 @@ class Alignment:
 class _Step:
     """A step over the views of one layout: which of them see a pixel, and how well these agree."""
 
-    def __init__(self, arena: Arena, layout: ViewLayout, config: MatchingConfig, farthest: float) -> None:
-        kernels, tuning = arena.kernels, config.tuning.alignment
-        offsets = arena.device.field(layout.offsets)
-        self._hiding = kernels.z_buffer(layout.shape, offsets, reach=_BESIDE)
-        self._align = kernels.alignment(
+    def __init__(self, frame: Frame, layout: ViewLayout) -> None:
+        arena, tuning = frame.arena, frame.config.tuning
+        self._hiding, self._offsets = frame.hiding, arena.device.field(layout.offsets)
+        self._align = arena.kernels.alignment(
             layout.shape,
-            offsets,
+            self._offsets,
             scale=layout.scale,
-            gradient_weight=tuning.gradient_weight,
-            contrast=tuning.contrast,
-            robust=tuning.robust,
-            tolerance=config.tuning.sweep.tolerance / farthest,
+            gradient_weight=tuning.alignment.gradient_weight,
+            contrast=tuning.alignment.contrast,
+            robust=tuning.alignment.robust,
+            tolerance=tuning.sweep.tolerance / frame.layout.farthest,
         )
         with arena.scratch() as scratch:
-            self._nearest = scratch.field(layout.shape[:3])
+            self._nearest = scratch.field(frame.layout.shape[:3])
 
     def load(self, image: Array, views: Loaded) -> None:
         """Take the reference image [y, x, c] and the views, as stored."""
@@ -148,5 +145,5 @@ class _Step:
 
     def __call__(self, map_: Array, curvature_out: Array, slope_out: Array) -> None:
         """Curvature and slope [y, x] of how the views differ at a map [y, x]."""
-        self._hiding(map_, self._nearest)
+        self._hiding(map_, self._offsets, self._nearest, reach=_BESIDE)
         self._align(map_, self._nearest, curvature_out, slope_out)

@@ -49,13 +49,21 @@ class HoleFilling:
     """
 
     def __init__(
-        self, arena: Arena, size: tuple[int, int], prior: NonLocalMeans, config: MatchingConfig, *, support: float
+        self,
+        arena: Arena,
+        size: tuple[int, int],
+        prior: NonLocalMeans,
+        config: MatchingConfig,
+        *,
+        support: float,
+        keeps_prior: bool,
     ) -> None:
         tuning = config.tuning
         self._prior, self._kernels, self._support = prior, arena.kernels, support
         self.held = tuning.hole_filling.stiffness * tuning.alignment.robust**2
         """The curvature at which a pixel's own estimate counts as much as one similar neighbour."""
-        self._weights = arena.field("weights on surfaces", (len(half_window(prior.window)), *size))
+        shape = len(half_window(prior.window)), *size
+        self._weights = arena.field("weights on surfaces", shape) if keeps_prior else prior.weights
         self._certainty, self._target, self._inverse = (
             arena.field(f"hole filling, {name}", size) for name in ("certainty", "target", "inverse")
         )
@@ -88,13 +96,14 @@ class HoleFilling:
 
 
 class Completion:
-    """Boundary refinement, then hole filling."""
+    """Boundary refinement, then hole filling, which unless `keeps_prior` overwrites the weights of like pixels."""
 
-    def __init__(self, frame: Frame) -> None:
+    def __init__(self, frame: Frame, *, keeps_prior: bool) -> None:
         arena, config, farthest, tuning = frame.arena, frame.config, frame.layout.farthest, frame.config.tuning
         self._kernels, self._image, self._bounds = frame.kernels, frame.image, frame.bounds
         self._boundaries = Boundaries(arena, config, frame.size, step=tuning.boundaries.step / farthest)
-        self._filling = HoleFilling(arena, frame.size, frame.prior, config, support=tuning.alignment.support / farthest)
+        support = tuning.alignment.support / farthest
+        self._filling = HoleFilling(arena, frame.size, frame.prior, config, support=support, keeps_prior=keeps_prior)
         self._alike = None
         if frame.known.mask is not None:
             # A patch that holds an unknown pixel is like no other patch: the pixel in its middle stays as it is.

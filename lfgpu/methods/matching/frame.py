@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import WHITE, Array, Float32Array, PlaneSweep, ViewSets, ZBuffer
+from lfgpu.contract import WHITE, Array, Float32Array, PlaneSweep, ViewSets
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig
@@ -45,6 +45,9 @@ class KnownPixels:
         """Put NaN at the unknown pixels of a map [y, x] on the host."""
         return values if self.mask is None else np.where(self.mask, values, np.float32(np.nan))
 
+
+WIDEST = 1
+"""Pixels by which a surface is widened at most before it hides anything."""
 
 Load = Callable[[Array, Array, Array | None], None]
 """Takes a reference image [y, x, c], views [n, y, x, c] and their masks [n, y, x] or None."""
@@ -90,6 +93,8 @@ class Frame:
             self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
             self._stored = np.dtype(np.uint16)
             self._smoothed = arena.image("smoothed views", chosen.compared.shape, np.uint16)
+        self.hiding = arena.kernels.z_buffer(self.size, arena.device.name, reach=WIDEST)
+        """Finds the nearest surface in each view, with surfaces widened by up to `WIDEST` pixels."""
         self._priors: dict[int, NonLocalMeans] = {}
         self._swept: dict[tuple[int, ...], SweptViews] = {}
         self.used: Loaded
@@ -173,7 +178,6 @@ class SweptViews:
         self.frame, self.layout, self._selection = frame, selection.layout, selection
         self.is_loaded = False
         self._loads: list[Load] = []
-        self._hiding: dict[int, ZBuffer] = {}
         self._costs: dict[str, Any] = {}
         self._field = frame.arena.device.field
 
@@ -206,12 +210,6 @@ class SweptViews:
     def on_load(self, load: Load) -> None:
         """Have `load` called once for each frame, before its first sweep over these views."""
         self._loads.append(load)
-
-    def hiding(self, widening: int) -> ZBuffer:
-        """Return the operation that finds the nearest surface in each view, with surfaces widened by so many pixels."""
-        if widening not in self._hiding:
-            self._hiding[widening] = self.frame.kernels.z_buffer(self.layout.shape, self.offsets, reach=widening)
-        return self._hiding[widening]
 
     def load(self) -> None:
         """Load the views of the frame, unless they are loaded."""

@@ -76,10 +76,9 @@ class PlannedSweep:
 
     def __init__(self, row: Sweep, frame: Frame) -> None:
         self.row, self._views = row, frame.swept(row.views)
-        arena, shape = frame.arena, self._views.layout.shape
-        self._hiding = self._views.hiding(row.widening) if row.past == "surface" else None
+        self._hiding, arena = frame.hiding, frame.arena
         with arena.scratch() as scratch:
-            self._nearest = None if self._hiding is None else scratch.field(shape[:3])
+            self._nearest = scratch.field(frame.layout.shape[:3]) if row.past == "surface" else None
             self.aggregation = AGGREGATIONS[row.aggregation](self._views)
         self._cost: Cost | None = None
         self._volume: Array | None = None
@@ -92,8 +91,8 @@ class PlannedSweep:
     ) -> None:
         """Find a map [y, x]; `surface` [y, x] is what hides anything in the views, `expect` as in `Swept`."""
         self._views.load()
-        if self._hiding is not None:
-            self._hiding(surface, self._nearest)
+        if self._nearest is not None:
+            self._hiding(surface, self._views.offsets, self._nearest, reach=self.row.widening)
         if self._cost is not None and self._nearest is not None:
             self._cost.by_visibility(self._nearest, self._volume)
         elif self._cost is not None:

@@ -33,8 +33,8 @@ class MatchingPlan:
     """Matching for light fields of one kind, with all memory allocated."""
 
     decided = "align"
-    may_be_masked = False
-    """True if views may come with masks that the layout does not have."""
+    is_live = False
+    """True if views may come with masks that the layout does not have, and maps are compared with those before."""
 
     def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
         assert measured.noise is not None  # this method measures it
@@ -48,9 +48,10 @@ class MatchingPlan:
         self._arena, self._kernels = Arena(device), device.kernels
         arena = self._arena
         self._frame = frame = Frame(
-            arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.may_be_masked
+            arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.is_live
         )
-        self._sweeps, self._alignment, self._completion = Sweeps(frame, kind=kind), Alignment(frame), Completion(frame)
+        self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
+        self._completion = Completion(frame, keeps_prior=self.is_live)
         self._second = None if self._sweeps.second is None else SecondMap(frame, self._sweeps)
         self._put_unknown = frame.known.putting(np.nan)
         names = ("swept", "aligned", "disparity", "confidence")

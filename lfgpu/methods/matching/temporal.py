@@ -46,7 +46,7 @@ class TemporalMatching(MatchingPlan):
     frame. `alignment.iterations` is the most steps that a frame may take.
     """
 
-    may_be_masked = True
+    is_live = True
 
     def __init__(
         self,

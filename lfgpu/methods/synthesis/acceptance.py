@@ -31,12 +31,12 @@ class Acceptance:
     def __init__(self, layout: ViewLayout, prior: NonLocalMeans, longest: float, noise: float, device: Device) -> None:
         kernels = device.kernels
         self._kernels, self._prior = kernels, prior
-        shape, offsets, reach = layout.shape, device.field(layout.offsets), _REACH
+        shape, offsets = layout.shape, device.field(layout.offsets)
         self._longest = longest / layout.farthest
         self._no_texture = _STIFFNESS * (_ROBUST * noise) ** 2
         self._apart = 2.0 * layout.farthest**2
         self._nearest = device.zeros(shape[:3])
-        self._hiding = kernels.z_buffer(shape, offsets, reach=reach)
+        self._offsets, self._hiding = offsets, kernels.z_buffer(layout.size, device.name, reach=_REACH)
         self._align, self._align_all = (
             kernels.alignment(
                 shape,
@@ -62,7 +62,7 @@ class Acceptance:
         k, change, gain, loss = self._kernels, self._change, self._gain, self._loss
         self._align.load(image, views, valid)
         self._align_all.load(image, views, valid)
-        self._hiding(start, self._nearest)
+        self._hiding(start, self._offsets, self._nearest, reach=_REACH)
         k.axpby(1.0, disparity, -1.0, start, change)
         k.clamp(change, -self._longest, self._longest, change)
         k.axpby(1.0, start, 1.0, change, disparity)
@@ -90,7 +90,7 @@ class Acceptance:
         pixels² in the farthest view. The confidence tells better pixels from worse ones; it is no probability.
         """
         k, prior, mean, square = self._kernels, self._prior, self._gain, self._loss
-        self._hiding(disparity, self._nearest)
+        self._hiding(disparity, self._offsets, self._nearest, reach=_REACH)
         self._align(disparity, self._nearest, self._curvature, self._slope)
         prior.mean(disparity, mean)
         k.axpby(1.0, disparity, -1.0, mean, self._change)
