@@ -93,12 +93,12 @@ def test_memory_is_as_foreseen(gpu: dict[str, str], name: Any, arrays: Arrays, m
         def __getitem__(self, key: object) -> Any:
             return lambda *arguments: None
 
-    monkeypatch.setattr(runtime, "_prepared", Nothing())
-    monkeypatch.setattr(backend, "repeat", lambda body, go_on, most: body())
     views = np.zeros((5, 5, 448, 672, 3), np.uint8)
     lf, measured, method = LightField.from_grid(views), Measured((-1.5, 1.5), 0.01), method_of(name)
     used = lf.subset(method.used_views(lf.offsets))
     pipeline = DepthPipeline(used, config=name, measured=measured, **gpu)  # type: ignore[arg-type]
+    monkeypatch.setattr(runtime, "_prepared", Nothing())
+    monkeypatch.setattr(backend, "repeat", lambda body, go_on, most, at_once=1: body())
     pipeline.run()
     needed = method.footprint(used.layout, measured, on_gpu=True)
     foreseen = needed.bytes(448, 672) - needed.besides
