@@ -91,7 +91,7 @@ html_favicon = "_static/favicon.svg"
 html_search_scorer = str(DOCS / "_static" / "scorer.js")
 html_show_sourcelink = False
 html_context = {"default_mode": "auto"}
-html_sidebars = {"start": [], "changes": [], "index": []}
+html_sidebars = {"start": [], "made/changes": [], "index": []}
 html_theme_options = {
     "logo": {"text": "lfgpu", "image_light": "_static/favicon.svg", "image_dark": "_static/favicon.svg"},
     "header_links_before_dropdown": 8,
