@@ -37,12 +37,12 @@ def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
 
 
 @once
-def sweep_kernel(channels: int, stored: Any, gradients: bool, rooted: bool, penalty: float) -> Any:
-    """Return the kernel. Without `gradients` their weight must be 0; `penalty` is of all view sets but the first."""
+def sweep_kernel(channels: int, kept: Any, gradients: bool, rooted: bool, penalty: float) -> Any:
+    """Return the kernel for views of scalar type `kept`. Without `gradients` their weight must be 0; `penalty` is of all view sets but the first."""
     numbers = {"CHANNELS": channels, "STRIP": _STRIP, "LANES": LANES, "PENALTY": penalty}
     numbers |= {"GRADIENTS": int(gradients), "ROOTED": int(rooted)}
-    module = f"lfgpu_plane_sweep_{channels}_{stored.__name__}_{gradients:d}{rooted:d}"
-    return with_wide_vectors(kernel("plane_sweep.h", "sweep_rows", module=module, Kept=kept_type(stored), **numbers))
+    module = f"lfgpu_plane_sweep_{channels}_{kept.__name__}_{gradients:d}{rooted:d}"
+    return with_wide_vectors(kernel("plane_sweep.h", "sweep_rows", module=module, Kept=kept, **numbers))
 
 
 def room_of(channels: int, groups: int) -> int:

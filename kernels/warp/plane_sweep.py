@@ -124,7 +124,7 @@ class _PlaneSweep:
             return
         views = [self._views, self._margin, self._image, self._valid, nearest]
         planned = [self._order, members, groups, self._shifts, self._deepest, sets]
-        kernel = cpu_plane_sweep.sweep_kernel(channels, self._stored, gradients, rooted, _PENALTY)
+        kernel = cpu_plane_sweep.sweep_kernel(channels, self._views.dtype, gradients, rooted, _PENALTY)
         load(self._device, kernel)
 
         def some_rows(k: int, first: int, last: int) -> None:
