@@ -3,16 +3,13 @@
 import itertools
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import checks
 import nlm_checks
 import numpy as np
 import splat_checks
-from checks import Desk, Operation, Outputs, Values, compute, largest_error, relative_to_terms, size
-from programs import Program
+from checks import Desk, Operation, Outputs, Values, largest_error, relative_to_terms, size
 
-from lfgpu.contract import KernelSet
 from lfgpu.kernels import reference as reference_package
 
 TOLERANCE = 0.25 + 2.0**-13
@@ -303,80 +300,3 @@ OPERATIONS = (
     Operation(refine_boundaries, "outline", unmix_errors),
 )
 NEAREST, ALIGNMENT, RATIO, PLANE, ON_SURFACE, UNMIX = OPERATIONS
-
-
-# --- checks that know no truth of the reference ---
-
-
-def check_step_leads_to_the_truth(kernels: KernelSet, device: str, channels: int, rng: np.random.Generator) -> None:
-    """Of slopes of brightness, seen from places around the reference: one step is all the way to their disparity.
-
-    Away from the border, as beyond it they do not go on.
-    """
-    height, width = 15, 17
-    offsets = np.array([(du, dv) for dv in (-1.0, 0.0, 1.0) for du in (-1.0, 0.0, 1.0)])
-    truth, now = rng.uniform(-0.5, 0.5, 2)
-    across, down = rng.uniform(0.02, 0.04, (2, channels)) * rng.choice([-1, 1], (2, channels))
-    y, x = (place[..., None] for place in np.mgrid[:height, :width])
-    views = [across * (x + truth * du) + down * (y + truth * dv) for du, dv in offsets]
-    scene = SimpleNamespace(
-        image=np.float32(across * x + down * y),
-        recorded=np.array(views, np.float32),
-        valid=None,
-        offsets=offsets,
-        disparity=np.full((height, width), now),
-        nearest=np.full((len(offsets), height, width), -1e6),
-        scale=1.0,
-        gradient_weight=2.0,
-        contrast=0.1,
-        robust=0.05,
-        tolerance=0.25,
-    )
-    got = compute(kernels, device, ALIGNMENT, scene)
-    inner = np.s_[4:-4, 4:-4]
-    step = got["slope"][inner] / got["curvature"][inner]
-    np.testing.assert_allclose(step, truth - now, rtol=0, atol=1e-3, err_msg="a step does not lead to the truth")
-
-
-def check_what_no_view_sees_has_no_slope(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    """Where nothing is valid, and where something nearer hides all, nothing is known: curvature and slope are 0."""
-    blind = SimpleNamespace(**{**vars(i), "valid": np.zeros(i.nearest.shape)})
-    hidden = SimpleNamespace(**{**vars(i), "nearest": np.full_like(i.nearest, 1e3)})
-    for unseen in (blind, hidden):
-        for name, output in compute(kernels, device, ALIGNMENT, unseen).items():
-            assert not output.any(), f"the {name} of what no view sees is not 0"
-
-
-# --- a program of them, for devices that can do work as a whole ---
-
-
-def stepping(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """A step of Gauss and Newton, smoothed, on a light field that is loaded each time."""
-    views = values["recorded"]
-    inputs: dict[str, Any] = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
-    inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
-    offsets = kernels.field(values["offsets"], device)
-    weights = kernels.field(np.full((12, *views.shape[1:3]), 0.5), device)
-    surface = kernels.z_buffer(views.shape[1:3], device, reach=1)
-    plan = kernels.alignment(
-        views.shape, offsets, scale=1.0, gradient_weight=2.0, contrast=0.5, robust=0.25, tolerance=0.30078125
-    )
-    nearest = kernels.zeros(views.shape[:3], device)
-    curvature, slope, step, plane, unmixed = (kernels.zeros(views.shape[1:3], device) for _ in range(5))
-    certainty = kernels.field(np.full(views.shape[1:3], 0.5), device)
-    on_surface = kernels.zeros((12, *views.shape[1:3]), device)
-
-    def work() -> None:
-        plan.load(inputs["image"], inputs["recorded"], inputs["valid"])
-        surface(inputs["disparity"], offsets, nearest, reach=1)
-        plan(inputs["disparity"], nearest, curvature, slope)
-        fields = weights, inputs["disparity"], slope, curvature
-        kernels.nlm_ratio(*fields, window=5, support=0.5, floor=1e-3, ratio_out=step)
-        kernels.nlm_plane(weights, step, certainty, window=5, support=0.5, ridge=1.0, plane_out=plane)
-        kernels.refine_boundaries(
-            inputs["image"], inputs["disparity"], step=0.25, contrast=0.01, share=0.4, disparity_out=unmixed
-        )
-        kernels.nlm_on_surface(weights, unmixed, window=5, support=0.5, weights_out=on_surface)
-
-    outputs = {"curvature": curvature, "slope": slope, "step": step, "plane": plane, "on_surface": on_surface}
-    return Program(inputs, work, outputs)

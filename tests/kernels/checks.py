@@ -1,6 +1,6 @@
 """The checks of the kernel matrix. Each takes a backend, and raises AssertionError where it breaks the contract.
 
-They know nothing of pytest, so that `test_mutants.py` and `test_checks_can_fail.py` can hold broken backends to them.
+They know nothing of pytest, so that `test_mutants.py` can hold broken backends to them.
 
 Disparities, offsets and shears of cases have so few binary digits that their products are exact in float32: every
 backend lands at the same place, so that what differs is its arithmetic. `exact=False` leaves that out and says by how
@@ -226,17 +226,3 @@ def check_outputs(
 def check_same_bits(operation: Operation, first: dict[str, Values], second: dict[str, Values]) -> None:
     for name in first:
         np.testing.assert_array_equal(first[name], second[name], f"{operation}: {name} differs between runs")
-
-
-def adjoint_tolerance(kernels: KernelSet) -> float:
-    return 1e-12 if kernels.dtype is np.float64 else 2e-6
-
-
-def same_product(what: str, kernels: KernelSet, left: tuple[Values, Values], right: tuple[Values, Values]) -> float:
-    (a, b), (c, d) = (tuple(values.astype(np.float64) for values in pair) for pair in (left, right))
-    scale = float(np.linalg.norm(a) * np.linalg.norm(b) + np.linalg.norm(c) * np.linalg.norm(d)) / 2
-    error = abs(float(np.vdot(a, b) - np.vdot(c, d)))
-    relative = error / scale if scale else error
-    limit = adjoint_tolerance(kernels)
-    assert relative <= limit, f"{what}: the products differ by {relative:.2e} relative to their size, not {limit:.0e}"
-    return relative

@@ -5,10 +5,9 @@ from types import SimpleNamespace
 
 import checks
 import numpy as np
-from checks import Desk, Operation, Outputs, Values
-from programs import Program
+from checks import Desk, Operation, Outputs
 
-from lfgpu.contract import COSTS, FOLD, KernelSet
+from lfgpu.contract import COSTS, FOLD
 
 
 @dataclass(frozen=True)
@@ -257,39 +256,6 @@ def judge_peak(desk: Desk, i: SimpleNamespace) -> Outputs:
     maps = desk.field(i.probability), desk.field(i.deviation)
     desk.kernels.judge_peak(*maps, step=i.step, **i.weights_of_judge, **out)
     return {"confidence": out["confidence_out"], "variance": out["variance_out"]}
-
-
-def finding_the_peak(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """A network of few layers on the views of a light field that is loaded each time."""
-    views, stored, count = values["recorded"], np.float32, 4
-    inputs = {name: kernels.image(values[name], device) for name in ("image", "recorded")}
-    inputs |= {name: kernels.field(values[name], device) for name in ("valid", "disparity")}
-    costs_of = kernels.sector_costs(views.shape, kernels.field(values["offsets"], device), scale=1.0)
-    rng = np.random.default_rng(0)
-    folded = [-(-side // FOLD) for side in views.shape[1:3]]
-    shapes = (1, 1, 1, COSTS * FOLD**2, 24), (1, 3, 3, 4 * FOLD**2, 24), (3, 3, 3, 24, FOLD**2)
-    mix, show, judge = (
-        kernels.convolution(rng.normal(size=shape).astype(np.float32) / 8, np.zeros(shape[-1], np.float32), device)
-        for shape in shapes
-    )
-    factor = kernels.scalar(1.0, device)
-    costs = kernels.zeros_image((count, *folded, COSTS * FOLD**2), device, stored)
-    image, shown = (kernels.zeros_image((1, *folded, channels), device, stored) for channels in (4 * FOLD**2, 24))
-    mixed = kernels.zeros_image((count, *folded, 24), device, stored)
-    logits = kernels.zeros_image((count, *folded, FOLD**2), device)
-    outputs = {name: kernels.zeros(views.shape[1:3], device) for name in ("disparity", "probability", "deviation")}
-
-    def work() -> None:
-        kernels.brightness(inputs["image"], factor_out=factor)
-        costs_of.load(inputs["image"], inputs["recorded"], inputs["valid"])
-        kernels.fold(inputs["image"], factor, folded_out=image)
-        costs_of(inputs["disparity"], factor, costs, step=0.5, label=0)
-        show(image, None, shown)
-        mix(costs, shown, mixed)
-        judge(mixed, None, logits)
-        kernels.peak(logits, inputs["disparity"], step=0.5, **{f"{name}_out": out for name, out in outputs.items()})
-
-    return Program(inputs, work, outputs, tolerance=1e-2)
 
 
 OPERATIONS = (

@@ -9,15 +9,12 @@ from checks import (
     Desk,
     Operation,
     Outputs,
-    adjoint_tolerance,
-    compute,
     float32,
     relative_to_terms,
-    same_product,
     size,
 )
 
-from lfgpu.contract import KernelSet, half_window
+from lfgpu.contract import half_window
 
 
 @dataclass(frozen=True)
@@ -110,19 +107,3 @@ LAPLACIAN = Operation(
 )
 WEIGHTS = Operation(nlm_weights, "nlm")
 OPERATIONS = (WEIGHTS, NEIGHBORS, LAPLACIAN)
-
-
-def check_nlm_symmetric(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    """⟨W x, y⟩ = ⟨x, W y⟩, the same for L; L takes a constant to 0; L = diag(W 1) - W."""
-    other = SimpleNamespace(**{**vars(i), "values": i.other_values})
-    ones = SimpleNamespace(**{**vars(i), "values": np.ones_like(i.values)})
-    for operation, output in ((NEIGHBORS, "sums"), (LAPLACIAN, "laplacian")):
-        a, b = (compute(kernels, device, operation, inputs)[output] for inputs in (i, other))
-        same_product(str(operation), kernels, (a, i.other_values), (i.values, b))
-    constant = compute(kernels, device, LAPLACIAN, ones)["laplacian"]
-    assert np.abs(constant).max() <= adjoint_tolerance(kernels) * i.weights.sum(), "L 1 is not 0"
-    degree = compute(kernels, device, NEIGHBORS, ones)["sums"].astype(np.float64)
-    sums = compute(kernels, device, NEIGHBORS, i)["sums"]
-    got = compute(kernels, device, LAPLACIAN, i)["laplacian"]
-    error = np.abs(got - (degree * i.values - sums)).max() / max(1.0, float(np.abs(degree * i.values).max()))
-    assert error <= 5 * adjoint_tolerance(kernels), f"L and diag(W 1) - W differ by {error:.2e}"

@@ -6,9 +6,7 @@ from types import SimpleNamespace
 import checks
 import numpy as np
 import splat_checks
-from checks import Desk, Operation, Outputs, Values, compute
-
-from lfgpu.contract import KernelSet
+from checks import Desk, Operation, Outputs, Values
 
 TOLERANCE = 0.25 + 2.0**-13
 """Of what is seen; between the numbers that disparities are, which are whole multiples of 2⁻¹⁰."""
@@ -114,46 +112,3 @@ def visible_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNam
 
 OPERATIONS = (Operation(splat_z_buffered, "occlusion"), Operation(visible, "occlusion", visible_errors))
 SPLAT, VISIBLE = OPERATIONS
-
-
-# --- checks that know no truth ---
-
-
-def check_safe_whatever_the_range(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    """All is finite, and a mean of colours lies between the least and the largest of them."""
-    views = compute(kernels, device, SPLAT, i)["views"]
-    reached = compute(kernels, device, SPLAT, i)["coverage"] > 1e-6
-    assert np.isfinite(views).all(), "views are not finite"
-    low, high = i.image.min() * (1 - 1e-5), i.image.max() * (1 + 1e-5)
-    assert ((views[reached] >= low) & (views[reached] <= high)).all(), "a mean lies outside of what it is of"
-
-
-def check_front_hides_back(kernels: KernelSet, device: str, i: SimpleNamespace) -> None:
-    """A square at disparity 2 before a plane at 0: views show the square where it is, and the plane around it.
-
-    What the square uncovers is covered by nothing; the pixels of the plane that it covers are not visible.
-    """
-    height, width = 12, 14
-    square = np.zeros((height, width), np.bool_)
-    square[3:8, 5:10] = True
-    image = i.image[0, 0, 0] + np.arange(height * width, dtype=np.float32).reshape(height, width, 1)
-    shifts = ((1.0, 0.0), (0.0, -1.0), (-1.0, 1.0))
-    scene = SimpleNamespace(
-        image=image,
-        disparity=np.where(square, 2.0, 0.0),
-        offsets=np.array(shifts),
-        views=np.zeros((3, height, width, 1), np.float32),
-        recorded=np.zeros((3, height, width, 1), np.float32),
-        softness=0.125,
-        sharpness=30.0,
-        tolerance=0.5,
-    )
-    got = {**compute(kernels, device, SPLAT, scene), **compute(kernels, device, VISIBLE, scene)}
-    for n, (du, dv) in enumerate(shifts):
-        moved = tuple(int(-2 * shift) for shift in (dv, du))
-        there, front = np.roll(square, moved, (0, 1)), np.roll(image, moved, (0, 1))
-        covered = there | ~square
-        want = np.where(covered[..., None], np.where(there[..., None], front, image), 0)
-        np.testing.assert_allclose(got["views"][n], want, rtol=1e-6, atol=0, err_msg="the front does not hide the back")
-        np.testing.assert_array_equal(got["coverage"][n] > 0, covered, "what is uncovered is wrong")
-        np.testing.assert_array_equal(got["visible"][n] != 0, square | ~there, "what is visible is wrong")

@@ -8,7 +8,7 @@ import numpy as np
 from checks import Outputs, Values, largest_error
 
 from lfgpu._backends import load
-from lfgpu.contract import REDUCTION, KernelSet, half_window
+from lfgpu.contract import KernelSet, half_window
 
 
 @dataclass(frozen=True)
@@ -155,13 +155,8 @@ def program_inputs(make: MakeProgram, rng: np.random.Generator) -> dict[str, Val
         "image": rng.random((*shape, 3), np.float32),
         "recorded": recorded,
         "valid": (rng.random(recorded.shape[:3]) < 0.8).astype(np.float32),
-        "mostly valid": (rng.random(recorded.shape[:3]) < 0.97).astype(np.float32),
         "disparity": np.round(rng.uniform(-1.5, 1.5, shape) * 2**10) / 2**10,
         "offsets": offsets,
-        "volume": rng.random((5, *shape), np.float32),
-        "reduced": rng.random((5, *(side // REDUCTION for side in shape)), np.float32),
-        "shares": rng.random([side // REDUCTION for side in shape], np.float32),
-        "nearest": rng.uniform(-1.5, 1.5, recorded.shape[:3]),
     }
 
 

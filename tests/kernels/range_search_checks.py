@@ -7,9 +7,6 @@ from typing import Any
 import checks
 import numpy as np
 from checks import Desk, Operation, Outputs, Values, largest_error
-from programs import Program
-
-from lfgpu.contract import KernelSet
 
 
 @dataclass(frozen=True)
@@ -148,25 +145,3 @@ OPERATIONS = (
     Operation(distinct_minimum, "range search"),
 )
 SHRINK, DETAILS, COSTS, DISTINCT = OPERATIONS
-
-
-# --- a program of them, for devices that can do work as a whole ---
-
-
-def finding_what_is_distinct(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """From views to where they are alike."""
-    views, valid = kernels.image(values["recorded"], device), kernels.field(values["valid"], device)
-    shape, offsets = values["recorded"].shape[:3], values["offsets"]
-    plan = kernels.details(shape, device, factor=1, window=3)
-    row = {"first": -1.0, "step": 0.5, "count": 5}
-    compare = kernels.side_costs(shape, offsets, [[[1], [2]]], device, reference=0, **row)
-    images, details = (kernels.zeros(shape, device) for _ in range(2))
-    costs, found = kernels.zeros((1, 5, *shape[1:]), device), kernels.zeros((5, *shape[1:]), device)
-
-    def work() -> None:
-        kernels.shrink(views, (0, 1, 2), valid, scale=1.0, factor=1, images_out=images)
-        plan(images, details)
-        compare(details, costs)
-        kernels.distinct_minimum(costs, apart=1, found_out=found)
-
-    return Program({"recorded": views, "valid": valid}, work, {"costs": costs, "found": found})

@@ -2,13 +2,11 @@
 
 from dataclasses import dataclass
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
-from checks import Case, Desk, Operation, Outputs, Values, compute, largest_error, scale_of, stored
-from programs import Program
+from checks import Case, Desk, Operation, Outputs, Values, largest_error, scale_of, stored
 
-from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE, KernelSet
+from lfgpu.contract import REDUCTION, WHITE
 
 STEP = 1 / WHITE
 """What two numbers that are nearly the same may differ by once they are rounded."""
@@ -93,9 +91,6 @@ def smoothing_inputs(case: SmoothingCase, rng: np.random.Generator) -> SimpleNam
 MANY = 200
 """Values among which those that are rounded to another step than in the reference can be counted."""
 
-ROUNDING = 1.5 / WHITE
-"""A step, and half a one where the truth lies between two."""
-
 
 def smooth_views(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.stored_out(i.views.shape, np.uint16)
@@ -133,117 +128,3 @@ OPERATIONS = (
     Operation(reduce_views, "reduction", rounded_errors),
 )
 SMOOTH, REDUCE = OPERATIONS
-
-
-# --- checks that know no truth but what smoothing is for ---
-
-
-def smoothed(kernels: KernelSet, device: str, views: Values, deviation: float, valid: Values | None = None) -> Values:
-    """Intensities [n, y, x, c] of float32 views after smoothing."""
-    i = SimpleNamespace(views=views.astype(np.float32), valid=valid, scale=1.0, deviation=deviation)
-    return compute(kernels, device, SMOOTH, i)["views"].astype(np.float64) / WHITE
-
-
-def check_constant_stays(kernels: KernelSet, device: str) -> None:
-    """Views of one intensity are what they were, up to their borders, smoothed and reduced."""
-    views = np.full((2, 13, 38, 3), (0.0, 20011 / WHITE, 1.0), np.float32)
-    got = smoothed(kernels, device, views, 0.01)
-    assert np.abs(got - views).max() <= ROUNDING, "smoothing changes a constant view"
-    i = SimpleNamespace(views=views, by_block=None, scale=1.0)
-    reduced = compute(kernels, device, REDUCE, i)["views"].astype(np.float64) / WHITE
-    assert np.abs(reduced - views[:, :3, :9]).max() <= ROUNDING, "reducing changes a constant view"
-
-
-def check_noise_falls(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
-    """Noise on a constant view falls as in means with the Gaussian's weights, as the guides differ by little.
-
-    Along either axis that is by sqrt(sum w^2) / sum w. The reduced view averages REDUCTION^2 pixels.
-    """
-    deviation, noise = 0.2, 0.02
-    views = 0.5 + rng.normal(0, noise, (2, 96, 96, 3))
-    weights = np.exp(-(np.arange(-SMOOTHING_REACH, SMOOTHING_REACH + 1) ** 2) / 8)
-    inner = np.s_[:, SMOOTHING_REACH:-SMOOTHING_REACH, SMOOTHING_REACH:-SMOOTHING_REACH]
-    factor = smoothed(kernels, device, views, deviation)[inner].std() / noise
-    want = (weights**2).sum() / weights.sum() ** 2
-    assert abs(factor / want - 1) <= 0.12, f"smoothing leaves {factor:.3f} of the noise, not {want:.3f}"
-    i = SimpleNamespace(views=views.astype(np.float32), by_block=None, scale=1.0)
-    factor = (compute(kernels, device, REDUCE, i)["views"] / WHITE).std() / noise
-    want = 1 / REDUCTION
-    assert abs(factor / want - 1) <= 0.12, f"reducing leaves {factor:.3f} of the noise, not {want:.3f}"
-
-
-def check_edge_stays(kernels: KernelSet, device: str) -> None:
-    """An edge of 10 deviations stays where it is, and as high, within 1 % of its height; upright and lying."""
-    deviation, low = 0.02, 0.3
-    high = low + 10 * deviation
-    upright = np.full((1, 18, 41, 3), low)
-    upright[:, :, 20:] = high
-    for name, views in (("upright", upright), ("lying", upright.transpose(0, 2, 1, 3))):
-        moved = np.abs(smoothed(kernels, device, views, deviation) - views).max() / (high - low)
-        assert moved <= 0.01, f"an {name} edge is off by {moved:.1%} of its height"
-
-
-def check_regions_stay_apart(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
-    """Two constant regions with what is not valid between them, whatever it shows, stay as they are.
-
-    The step between them is of half a deviation, so that likeness does not keep them apart. What is not valid is a mean
-    with them.
-    """
-    deviation, left, right = 0.1, 0.4, 0.45
-    views = np.full((1, 17, 40, 3), left)
-    views[:, :, 20:] = right
-    valid = np.ones(views.shape[:3], np.float32)
-    between = np.s_[:, :, 18 : 18 + SMOOTHING_REACH]
-    valid[between] = 0
-    views[between] = rng.random(views[between].shape)
-    got = smoothed(kernels, device, views, deviation, valid)
-    there = valid != 0
-    moved = np.abs(got - views)[there].max()
-    assert moved <= ROUNDING, f"what is not valid, or lies behind it, moves a valid pixel by {moved:.5f}"
-    share = np.abs(got - views)[~there].mean()
-    assert share >= 0.01, "what is not valid stays as it was, instead of being a mean with what is"
-
-
-def check_masked_pixels_say_nothing(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
-    """What stands in pixels that are not valid, NaN included, makes no difference anywhere, smoothed or reduced."""
-    views = rng.random((2, 21, 45, 3)).astype(np.float32)
-    valid = (rng.random(views.shape[:3]) < 0.6).astype(np.float32)
-    valid[:, :9, :12] = 0
-    for name, operation in (("smoothing", SMOOTH), ("reducing", REDUCE)):
-        found = []
-        for masked in (0.0, 1.0, np.nan):
-            shown = np.where(valid[..., None] != 0, views, np.float32(masked))
-            i = SimpleNamespace(views=shown, valid=valid, by_block=valid, scale=1.0, deviation=0.3)
-            found.append(compute(kernels, device, operation, i)["views"])
-        assert all((other == found[0]).all() for other in found), f"{name} looks at what is not valid"
-
-
-def check_channels_are_alike_together(kernels: KernelSet, device: str, rng: np.random.Generator) -> None:
-    """Three channels that are the same give what one of them gives alone."""
-    grey = rng.random((2, 11, 14, 1))
-    one = smoothed(kernels, device, grey, 0.2)
-    three = smoothed(kernels, device, grey.repeat(3, 3), 0.2)
-    assert np.abs(three - one).max() <= ROUNDING, "what is alike depends on how many channels there are"
-
-
-# --- a program of them, for devices that can do work as a whole ---
-
-
-def showing_less_noise(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """Views smoothed, and the same reduced with their mask."""
-    views = kernels.image(values["recorded"], device)
-    valid = kernels.field(values["mostly valid"], device)
-    n, height, width, channels = values["recorded"].shape
-    small = n, height // REDUCTION, width // REDUCTION
-    out: dict[str, Any] = {
-        "smoothed": kernels.zeros_image((n, height, width, channels), device, np.uint16),
-        "reduced": kernels.zeros_image((*small, channels), device, np.uint16),
-        "valid": kernels.zeros(small, device),
-    }
-
-    def work() -> None:
-        kernels.smooth_views(views, valid, scale=0.9, deviation=0.1, views_out=out["smoothed"])
-        kernels.reduce_views(views, valid, scale=0.9, views_out=out["reduced"], valid_out=out["valid"])
-
-    # A step of rounding, relative to views that are at least half as bright as white.
-    return Program({"recorded": views, "mostly valid": valid}, work, out, tolerance=2 / WHITE)

@@ -79,15 +79,6 @@ FAMILIES = (
     streaming_checks,
 )
 OPERATIONS = tuple(operation for family in FAMILIES for operation in family.OPERATIONS)
-PROGRAMS = (
-    *programs.PROGRAMS,
-    sweep_checks.sweeping,
-    volume_checks.finding_the_lowest,
-    range_search_checks.finding_what_is_distinct,
-    alignment_checks.stepping,
-    smoothing_checks.showing_less_noise,
-    learned_checks.finding_the_peak,
-)
 UNORDERED = ("splat", "splat_z_buffered")
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
@@ -184,13 +175,6 @@ def test_check_that_knows_no_truth(target: Any, check: without_truth.Check, rng:
     check.run(target.kernels, target.device, *check.make(rng))
 
 
-def test_all_out_of_the_frame_is_nothing_at_all(target: Any, rng: np.random.Generator) -> None:
-    (case,) = (case for case in splat_checks.SPLAT_CASES if case.name == "all out of the frame")
-    inputs: SimpleNamespace = splat_checks.splat_inputs(case, rng)
-    for name, output in checks.compute(target.kernels, target.device, splat_checks.SPLAT, inputs).items():
-        assert not output.any(), name
-
-
 def test_other_libraries_see_fields(target: Any) -> None:
     if target.device != "cpu":
         pytest.skip("tests/test_interop.py is about GPUs")
@@ -198,12 +182,12 @@ def test_other_libraries_see_fields(target: Any) -> None:
         pytest.skip("this backend has no arrays that other libraries could take")
 
 
-@pytest.mark.parametrize("make", PROGRAMS)
+@pytest.mark.parametrize("make", programs.PROGRAMS)
 def test_program_on_the_device(target: Any, make: programs.MakeProgram, rng: np.random.Generator) -> None:
     programs.check_program(target.kernels, target.device, make, programs.program_inputs(make, rng))
 
 
-@pytest.mark.parametrize("make", PROGRAMS)
+@pytest.mark.parametrize("make", programs.PROGRAMS)
 def test_captured_program_does_the_same_with_new_inputs(
     target: Any, make: programs.MakeProgram, rng: np.random.Generator
 ) -> None:

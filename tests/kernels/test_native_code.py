@@ -133,66 +133,6 @@ def test_all_of_a_file_is_read(file: str) -> None:
     assert max(map(len, text.splitlines())) <= 120
 
 
-FILE = """\
-#pragma once
-#include "other.h"
-
-constexpr int FEW = 2;
-
-// Twice a number.
-inline float twice(float value) {
-    return FEW * value;
-}
-
-// A kernel.
-void scale(int tid, Array1<float> x, Array2<Pixel> y, double by, Array1<float> x_out) {
-    x_out.data[tid] = twice(x.data[tid]) * FACTOR + shifted((float)by) + (float)y.shape[0];
-}
-"""
-OTHER = """\
-inline float shifted(float value) {
-    return value + SHIFT;
-}
-
-inline float unused(float value) {
-    return value;
-}
-"""
-
-
-@pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    (tmp_path / "file.h").write_text(FILE)
-    (tmp_path / "other.h").write_text(OTHER)
-    monkeypatch.setattr(native_code, "_FOLDER", tmp_path)
-    native_code._parts.cache_clear()
-    yield tmp_path
-    native_code._parts.cache_clear()
-
-
-def test_a_kernel_has_what_its_function_uses(folder: Path) -> None:
-    pixel = wp.types.vector(length=3, dtype=wp.uint8)
-    kernel = native_code.kernel("file.h", "scale", module="lfgpu_test_scale", Pixel=pixel, FACTOR=3.0, SHIFT=0.5)
-    x, out = (wp.array(values, dtype=float, device="cpu") for values in ([1.0, 2.0], [0.0, 0.0]))
-    wp.launch(kernel, 2, [x, wp.zeros((4, 5), dtype=pixel, device="cpu"), 10.0], [out], device="cpu")
-    assert out.numpy().tolist() == [20.5, 26.5]
-
-
-def test_text_holds_what_it_depends_on_and_nothing_else(folder: Path) -> None:
-    text = native_code._assembled("file.h", "scale", {"FACTOR": 3.0, "SHIFT": (1, 2), "ON": True})
-    assert text.startswith("\n#define FACTOR 3.0f\n#define SHIFT 1, 2\n#define ON true\n")
-    assert text.endswith("#undef FACTOR\n#undef SHIFT\n#undef ON\n")
-    assert text.index("shifted = ") < text.index("constexpr int FEW") < text.index("twice = ")
-    assert "unused" not in text
-
-
-@pytest.mark.parametrize("argument", ["const float* x", "Array5<float> x", "float"])
-def test_arguments_that_warp_cannot_give_are_refused(argument: str, folder: Path) -> None:
-    (folder / "bad.h").write_text(f"void bad({argument}) {{\n    ;\n}}\n")
-    with pytest.raises(AssertionError, match="is no argument that Warp can give"):
-        native_code.kernel("bad.h", "bad", module="lfgpu_test_bad")
-
-
 KINDS = {"splat", "occlusion", "alignment", "ratio", "sweep", "views", "smoothing", "reduction", "nlm", "volume", "epi"}
 """Inputs of operations whose work is cut, besides those that are reduced."""
 SPLIT = [

@@ -176,11 +176,6 @@ SMALL = [case for case in SMOOTHING_CASES if math.prod(case.size) <= 200]
 REDUCED = [case for case in REDUCTION_CASES if math.prod(case.size) <= 500]
 
 
-def whole(intensity: float) -> int:
-    """As uint16 holds it."""
-    return math.floor(65535 * min(max(intensity, 0.0), 1.0) + 0.5)
-
-
 @pytest.mark.parametrize("case", SMALL, ids=str)
 def test_smoothing_is_the_formula(case: SmoothingCase, rng: np.random.Generator) -> None:
     i = smoothing_inputs(case, rng)

@@ -6,9 +6,8 @@ from types import SimpleNamespace
 import nlm_checks
 import numpy as np
 from checks import Desk, Operation, Outputs, Values, largest_error, relative_to_terms, size
-from programs import WINDOW, Program
 
-from lfgpu.contract import REDUCTION, KernelSet
+from lfgpu.contract import REDUCTION
 
 
 @dataclass(frozen=True)
@@ -218,30 +217,3 @@ OPERATIONS = (
     Operation(judge, "volume"),
 )
 AVERAGE, SEMI_GLOBAL, ADD_REDUCED, EDGES, LEAST, LOWEST, EVIDENCE, LINE_MEAN, UNEVENNESS, JUDGE = OPERATIONS
-
-
-# --- a program of them, for devices that can do work as a whole ---
-
-
-def finding_the_lowest(kernels: KernelSet, device: str, values: dict[str, Values]) -> Program:
-    """What becomes of a volume with the weights of an image and a reduced volume, and its lowest costs as they were."""
-    image, volume = kernels.image(values["image"], device), kernels.field(values["volume"], device)
-    reduced, shares = (kernels.field(values[name], device) for name in ("reduced", "shares"))
-    shape = values["volume"].shape
-    options = {"window": WINDOW, "patch": 3, "sigma_color": 0.5, "sigma_gradient": 0.5, "floor": 1e-3}
-    plan = kernels.nlm_weights(values["image"].shape, device, **options)
-    weights = kernels.zeros((WINDOW * WINDOW // 2, *shape[1:]), device)
-    average, total = (kernels.zeros(shape, device) for _ in range(2))
-    disparity, least, edges = (kernels.zeros(shape[1:], device) for _ in range(3))
-
-    def work() -> None:
-        plan(image, weights)
-        kernels.nlm_average(weights, volume, window=WINDOW, average_out=average)
-        kernels.add_reduced(reduced, shares, weight=0.5, volume_inout=average)
-        kernels.least_costs(average, least_out=least)
-        kernels.edge_weights(image, contrast=0.5, reach=1, weights_out=edges)
-        kernels.semi_global(average, image, least, small=0.01, large=0.05, contrast=0.25, sum_out=total)
-        kernels.winner_takes_all(volume, first=-1.0, step=0.5, disparity_out=disparity)
-
-    outputs = {"sum": total, "least": least, "edges": edges, "disparity": disparity}
-    return Program({"image": image, "volume": volume, "reduced": reduced, "shares": shares}, work, outputs)
