@@ -62,39 +62,11 @@ def test_variants_differ_and_all_have_results() -> None:
     assert {name for name in before if before[name] != after[name]} == {*SCALED, "sweep.noise"}
 
 
-@pytest.mark.parametrize("noise", [1e-6, 1.0])
-def test_variants_stay_within_the_ranges_whatever_the_noise(noise: float) -> None:
-    """What is 0.004 noise's is multiplied by the same factor in each of them: no range cuts it off."""
-    whole = PRESETS["accurate"]
-    assert isinstance(whole, MatchingConfig)
-    factor = in_units_of(noise, whole).tuning.alignment.robust / whole.tuning.alignment.robust
-    assert factor != 1
-    for variant in VARIANTS:
-        before = variant.config()
-        if not isinstance(before, MatchingConfig) or before.sweep.noise:
-            continue
-        after = in_units_of(noise, before)
-        for name, power in SCALED.items():
-            values = [dict(_values(config))[name] for config in (before, after)]
-            assert values[1] == pytest.approx(factor**power * values[0]), (
-                f"{variant.name}: {name} is cut off by its range"
-            )
-
-
 def _values(config: MatchingConfig) -> Iterator[tuple[str, Any]]:
     for whole in (config, config.tuning):
         for stage, values in asdict(whole).items():
             if isinstance(values, dict) and stage != "tuning":
                 yield from ((f"{stage}.{name}", value) for name, value in values.items())
-
-
-def test_what_is_not_robust_is_as_stiff_as_what_is() -> None:
-    configs = next(v for v in VARIANTS if "alignment.robust" in v.values).config(), PRESETS[WHOLE]
-    tunings = [config.tuning for config in configs]
-    assert tunings[0].alignment.robust == 100 * tunings[1].alignment.robust
-    for stage in ("alignment", "hole_filling"):
-        loose, whole = (getattr(tuning, stage).stiffness * tuning.alignment.robust**2 for tuning in tunings)
-        assert loose == pytest.approx(whole)
 
 
 # --- a run ---
@@ -129,15 +101,6 @@ def test_a_real_scene_is_scored_in_its_mask(tmp_path: Path) -> None:
     assert record.details["config"]["sweep"]["resweeps"] == 3
 
 
-def test_what_fails_is_listed_and_the_rest_goes_on(tmp_path: Path) -> None:
-    run = run_of(Scene("nosuch"), Scene("small", "relief"), data=tmp_path)
-    missing, *found = run.records
-    assert "nosuch is not there" in missing.failed
-    assert [bool(record.failed) for record in found] == [False, False]
-    assert "not measured" not in runs.markdown(replace(run, records=found)).lower()
-    assert "nosuch is not there" in runs.markdown(run)
-
-
 def test_a_run_comes_back_from_its_file(tmp_path: Path) -> None:
     run = run_of(SCENES[0], variants=FEW[:1])
     results.save(run, tmp_path / "run.json")
@@ -158,29 +121,6 @@ def test_ratios_are_geometric_means_and_judging_stands_apart() -> None:
     assert rows["accurate"] == ("1.00", "1.00", "1.00", "0 / 0 of 3", "1.00", "1.00", "1.00")
     assert rows["other"] == ("1.00", "6.00", "1.00", "1 / 1 of 2", "8.00", "1.00", "1.00")
     assert rows["rare"] == ("5.00", "1.00", "1.00", "1 / 0 of 1", NONE, NONE, NONE)
-
-
-def test_ratios_need_pixels_and_the_whole_method() -> None:
-    rows = summary(record_of("a", "accurate", 1.0, 0.0), record_of("a", "other", 1.0, 0.09))
-    assert rows["other"][1] == "1.00"
-    assert summary(record_of("a", "other", 2.0), record_of("b", "accurate", 2.0)).keys() == {"accurate"}
-    titles = [table.title for table in tables([record_of("a", "accurate", 1.0, judging=True)])]
-    assert "no parameter was chosen by it" in titles[1]
-
-
-# --- the command ---
-
-
-def told(*arguments: str | Path) -> str:
-    done = CliRunner().invoke(app, ["ablation", *map(str, arguments)])
-    assert done.exit_code == 1
-    return done.output
-
-
-def test_wrong_wishes_are_refused(tmp_path: Path) -> None:
-    assert "there are boxes, planes" in told("--scenes", "nosuch")
-    assert "nothing could be measured" in told("--scenes", "cotton", "--data", tmp_path)
-    assert "nothing could be measured" not in told("--scenes", "cotton", "--data", tmp_path, "--out", tmp_path)
 
 
 # --- the results ---
@@ -243,22 +183,6 @@ def test_light_fields_that_are_drawn_stand_beside_folders(tmp_path: Path) -> Non
     }
 
 
-def test_scenes_of_the_package_stand_beside_folders() -> None:
-    name = "planes-5x5x64x72"
-    found = population.run({name: population.made(name)}, FAST, ["true"])
-    lf = scenes.make("planes", grid=(5, 5), size=(64, 72))
-    (scored,) = found.records
-    assert scored.case == "planes-5x5x64x72"
-    assert scored.details["true"] == [lf.truth.disparity.min(), lf.truth.disparity.max()]
-
-
-@pytest.mark.parametrize("name", ["nosuch-5x5x64x72", "planes", "planes-5x5x64"])
-def test_scenes_that_there_are_not_are_refused(name: str) -> None:
-    done = accuracy("--scenes", name)
-    assert done.exit_code == 1
-    assert "scene" in done.output or "is no case" in done.output
-
-
 def test_scores_are_those_of_the_map_with_the_range_that_is_said(folder: Path) -> None:
     pictures: list[Compared] = []
     found = population.run({"first": lambda: read(folder / "first")}, FAST, ["true"], pictures.append)
@@ -284,28 +208,12 @@ def test_a_folder_is_a_light_field_or_holds_some(folder: Path, tmp_path: Path) -
         scoring.light_fields([tmp_path / "nosuch"])
 
 
-def test_what_fails_is_a_record_that_says_why(folder: Path, tmp_path: Path) -> None:
-    broken = tmp_path / "broken"
-    broken.mkdir()
-    (broken / "gt_disp_lowres.pfm").write_bytes((folder / "first" / "gt_disp_lowres.pfm").read_bytes())
-    (scored,) = population.run({"broken": lambda: read(broken)}, FAST, ["true"]).records
-    assert "broken" in scored.failed
-
-
 def test_ratios_are_geometric_means_and_the_worst_is_named() -> None:
     old = run_with(record("a", "found", 4.0), record("b", "found", 4.0), record("gone", "found", 1.0))
     new = run_with(record("a", "found", 1.0), record("b", "found", 8.0), record("new", "found", 9.0))
     (row,) = runs.against(new, old).rows
     assert row[:5] == ("fast, range found", "2", "1.00", "0.71", "1.00")
     assert row[6] == "b 2.00"
-
-
-def test_failed_scenes_and_ranges_are_told() -> None:
-    failed = replace(record("a", "found", 4.0), seconds=None, errors={}, failed="no")
-    assert runs.against(run_with(failed), run_with(record("a", "found", 4.0))).rows == []
-    *_, compared = runs.tables([record("a", "found", 6.0), record("a", "true", 4.0)])
-    (row,) = compared.rows
-    assert (row[0], row[3]) == ("fast, range found", "1.50")
 
 
 def test_the_command_line(folder: Path, tmp_path: Path) -> None:

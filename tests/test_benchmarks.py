@@ -1,11 +1,8 @@
 """The benchmark: that it runs, that it measures what it says, and that it notices what it is for."""
 
-import json
-import os
 import re
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,26 +12,15 @@ import pytest
 from typer.testing import CliRunner
 
 from benchmarks import (
-    bandwidth,
-    cases,
     clock,
-    machine,
-    memory,
-    operations,
     pipelines,
-    processes,
     results,
-    runs,
-    stages,
     suite,
 )
-from benchmarks.cases import CASES, Case
+from benchmarks.cases import CASES
 from benchmarks.cli import app
 from benchmarks.compare import compare
-from benchmarks.job import Job
-from benchmarks.results import Record, Run, Skipped, Spread
-from lfgpu import PRESETS, DepthPipeline, scenes
-from tests import ends
+from benchmarks.results import Record, Run, Spread
 
 pytestmark = pytest.mark.thorough
 
@@ -122,39 +108,6 @@ def test_operations_are_those_of_a_frame_with_their_bytes(measured: Path) -> Non
     assert all(record.limit for record in found.values())
 
 
-@pytest.mark.parametrize(("backend", "operation"), [("reference", "lbfgs.learn"), ("taichi", "data_term")])
-def test_operations_of_other_backends_and_methods_are_found(
-    backend: str, operation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("taichi")
-    monkeypatch.setattr(clock, "_SHORTEST_BATCH", 0.0)
-    monkeypatch.setattr(operations, "_BUDGET", 0.0)
-    cases.cast(Case((3, 3), (32, 32)), tmp_path / "scene.npz")
-    job = Job("operation", backend, "cpu", "", "paper", 1, str(tmp_path / "scene.npz"))
-    found = {record.details["operation"]: record for record in operations.measure(job)}
-    assert operation in found
-    assert all(record.bytes and record.seconds for record in found.values())
-
-
-def test_an_operation_that_fails_is_listed_and_the_rest_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def once(device: Any, call: Callable[[], None], **options: Any) -> clock.Timed:
-        monkeypatch.setattr(clock, "measure_on", always)
-        raise RuntimeError("no capture")
-
-    def always(device: Any, call: Callable[[], None], **options: Any) -> clock.Timed:
-        return clock.Timed(clock.spread([1.0]), 1, 0.0, False)
-
-    monkeypatch.setattr(clock, "measure_on", once)
-    cases.cast(Case((3, 3), (32, 32)), tmp_path / "scene.npz")
-    job = Job("operation", "reference", "cpu", "", "fast", 1, str(tmp_path / "scene.npz"))
-    first, *others = operations.measure(job)
-    assert first.failed == "RuntimeError: no capture"
-    assert len(others) > 20
-    assert not any(record.failed for record in others)
-
-
 def test_what_is_not_there_is_listed(measured: Path) -> None:
     skipped = {(s.backend, s.device): s.reason for s in results.load(measured).skipped}
     assert skipped.keys() == {("warp", "cuda:99")}
@@ -163,36 +116,6 @@ def test_what_is_not_there_is_listed(measured: Path) -> None:
     assert run.records == []
     assert [(s.backend, s.device) for s in run.skipped] == [("nosuch", "any device")]
     assert "unknown backend" in run.skipped[0].reason
-
-
-def test_a_job_that_fails_is_a_record_that_says_why(tmp_path: Path) -> None:
-    job = Job("pipeline", "reference", "cpu", TINY.name, "fast", 1, str(tmp_path / "nothing.npz"))
-    (record,) = suite.done(job, suite.Plan((TINY,), ("reference",)))
-    assert (record.kind, record.name, record.seconds) == ("pipeline", "fast", None)
-    assert "FileNotFoundError" in record.failed
-
-
-@pytest.mark.parametrize(
-    ("end", "reason"),
-    [
-        ("", ""),
-        ("raise", "ValueError: no more"),
-        ("exit", "no licence"),
-        ("kill", "ended by SIGKILL, as when memory runs out"),
-        ("sleep", "took longer than 5 s"),
-    ],
-)
-def test_a_process_that_ends_early_keeps_what_it_found(end: str, reason: str) -> None:
-    timeout = 5.0 if end == "sleep" else 100.0
-    found, why = processes.collect(ends.count_then, end, variables={}, timeout=timeout)
-    assert why == reason
-    assert found == [1, 2] or (end == "sleep" and not found)  # where it had no time to begin
-
-
-def test_a_process_has_the_threads_that_it_is_given() -> None:
-    before = os.environ.get("LFGPU_THREADS")
-    assert processes.collect(ends.threads_there, variables=processes.threads_in(3), timeout=100)[0] == ["3"]
-    assert os.environ.get("LFGPU_THREADS") == before
 
 
 # --- clocks, memory and its limit ---
@@ -207,115 +130,7 @@ def test_the_clock_batches_short_calls() -> None:
     assert not timed.captured
 
 
-def test_the_clock_counts_the_calls_of_captured_work(monkeypatch: pytest.MonkeyPatch) -> None:
-    captured: list[int] = []
-    calls = 0
-
-    def call() -> None:
-        nonlocal calls
-        calls += 1
-
-    def capture(work: Callable[[], None]) -> Callable[[], None]:
-        before = calls
-        work()
-        captured.append(calls - before)
-        return work
-
-    monkeypatch.setattr(clock, "perf_counter", lambda: calls * 1e-3)  # each call takes a millisecond
-    timed = clock.measure(call, lambda: None, repeats=2, budget=10.0, capture=capture)
-    assert timed.captured
-    assert captured[0] % 2 == 0, "what goes to and fro does not come back"
-    assert timed.calls % captured[0] == 0
-    assert timed.seconds.median == pytest.approx(1e-3)
-
-
-@pytest.mark.parametrize(("solver", "captured"), [("lbfgs", True), ("lbfgsb", False)])
-def test_stages_are_captured_as_the_run_is(solver: str, captured: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    lf = scenes.make("boxes", grid=TINY.grid, size=TINY.size)
-    config = PRESETS["paper"].with_values({"refinement.solver": solver, "refinement.max_iterations": 2})
-    pipeline = DepthPipeline(lf, config=config, backend="reference")
-    pipeline.run()
-    before = pipeline.disparity()
-    monkeypatch.setattr(pipeline.kernels, "capture", lambda work, device: work)
-    seconds, as_graphs = stages.measure(pipeline, lf.views)
-    assert set(seconds) == {"upload", "local", "propagate", "refine", "download"}
-    assert all(s > 0 for s in seconds.values())
-    assert as_graphs == captured
-    np.testing.assert_array_equal(pipeline.disparity(), before)
-
-
-def test_the_limit_is_that_of_the_fastest_memory_of_the_device() -> None:
-    copy = Record("bandwidth", "warp", "cpu", "", "copy", Spread(1.0, 1.0, 1.0, 3, 1.0), bytes=10**6)
-    faster = replace(copy, backend="numpy", bytes=10**7)
-    elsewhere = replace(copy, device="cuda:0", bytes=10**9)
-    *_, limited = bandwidth.with_limits([copy, faster, elsewhere, record_of()])
-    assert limited.limit == pytest.approx(0.1)
-    assert bandwidth.with_limits([record_of()]) == [record_of()]
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="needs a script that can be started by its name")
-def test_gpus_are_asked_for_their_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stand_in = tmp_path / "nvidia-smi"
-    used = tmp_path / "used"
-    stand_in.write_text(f'#!/bin/sh\ncase "$1" in *memory.used) cat {used};; *=name) echo A GPU;; *) echo 1.0;; esac\n')
-    stand_in.chmod(0o755)
-    monkeypatch.setenv("PATH", f"{tmp_path}:{os.environ['PATH']}")
-    used.write_text("100\n5\n")
-    with memory.GpuPeak() as peak:
-        used.write_text("300\n5\n")
-    assert peak.bytes == 305 << 20
-    described = machine.describe()
-    assert (described["gpus"], described["driver"]) == (["A GPU"], "1.0")
-    used.write_text("[N/A]\n")
-    assert memory.gpu_used() is None
-
-
 # --- files ---
-
-
-def test_a_file_is_read_as_it_was_written(tmp_path: Path) -> None:
-    run = run_of(record_of(), skipped=[Skipped("taichi", "cpu", "not there")])
-    results.save(run, tmp_path / "run.json")
-    assert results.load(tmp_path / "run.json") == run
-    assert json.loads((tmp_path / "run.json").read_text())["schema"] == results.SCHEMA
-
-
-@pytest.mark.parametrize(
-    ("content", "sentence"),
-    [
-        (None, "cannot be read"),
-        ("{", "is not a JSON file of a benchmark run"),
-        ("[]", "is not a JSON file of a benchmark run"),
-        ('{"schema": 99, "records": []}', "has schema 99"),
-        ('{"schema": 1, "records": []}', "has schema 1, but only 2 can be read: measure again"),
-        ('{"schema": 2, "records": []}', "is not a whole file"),
-        ('{"schema": 2, "records": [{"nonsense": 1}], "skipped": []}', "is not a whole file"),
-    ],
-)
-def test_broken_files_get_a_sentence(content: str | None, sentence: str, tmp_path: Path) -> None:
-    path = tmp_path / "broken.json"
-    if content is not None:
-        path.write_text(content)
-    with pytest.raises(results.BenchmarkError, match=sentence):
-        results.load(path)
-
-
-@pytest.mark.parametrize(
-    ("arguments", "sentence"),
-    [
-        (("--cases", "9x9"), "unknown case '9x9'; there are 3x3x48x48"),
-        (("--operations", "splash"), "unknown preset 'splash'"),
-        (("--pipelines", "slow"), "unknown pipeline 'slow'; there are paper, resident, scipy, accurate, fast"),
-        (("--backends", "cuda"), "unknown backend 'cuda'; there are warp"),
-        (("--out", "."), "it is a folder"),
-        (("table", "nowhere.json"), "nowhere.json cannot be read"),
-    ],
-)
-def test_mistakes_get_one_sentence(arguments: tuple[str, ...], sentence: str) -> None:
-    done = told(*arguments)
-    assert done.exit_code == 1
-    assert sentence in done.stderr
-    assert done.stderr.count("\n") == 1
 
 
 def test_files_of_one_state_on_one_machine_are_one_run() -> None:
@@ -343,23 +158,6 @@ def test_the_table_is_markdown(measured: Path) -> None:
     for title in ("The whole method from scratch", *presets, "The solver of the refinement"):
         assert f"**{title}" in done.stdout
     assert re.search(r"\| lbfgs \| .* \| [+-][\d.]+ % \|", done.stdout)
-
-
-def test_the_99_percent_quantile_needs_many_repeats(measured: Path) -> None:
-    records = [r for r in results.load(measured).records if r.name == "resident"]
-    many = [replace(r, seconds=replace(r.seconds, n=50)) for r in records if r.seconds]
-    for rows, there in ((records, False), (many, True)):
-        (table,) = runs.tables(rows)
-        assert ("p99" in table.columns) == there
-        assert all(len(row) == len(table.columns) for row in table.rows)
-
-
-def test_a_busy_or_other_machine_is_said() -> None:
-    assert "not idle" not in runs.markdown(run_of(record_of()))
-    assert "not idle: its load average was 1.5" in runs.markdown(run_of(record_of(), load=1.5))
-    other = run_of(record_of(), threads=1)
-    assert "different machines" in compare(run_of(record_of()), other, 0.1).warnings[0]
-    assert not compare(run_of(record_of()), run_of(record_of()), 0.1).warnings
 
 
 # --- comparison ---

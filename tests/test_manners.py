@@ -84,13 +84,6 @@ def test_the_text_of_a_viewer() -> None:
     assert "closed" in repr(viewer)
 
 
-def test_the_version_is_there_and_costs_nothing() -> None:
-    assert lfgpu.__version__ == importlib.metadata.version("lfgpu")
-    code = "import lfgpu, sys; lfgpu.__version__; print(bool({'numpy', 'scipy', 'warp'} & set(sys.modules)))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "False"
-
-
 @pytest.fixture
 def versions_anew() -> Iterator[None]:
     """No version that was looked up before is known in the test, and none of the test after it."""

@@ -1,8 +1,6 @@
 """Pictures and the 3D view: colours, scales, units, undefined pixels, whole squares; black corners."""
 
 import math
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -173,16 +171,6 @@ def test_a_picture_beside_a_scale_keeps_its_pixels(
     assert found.shape[0] == size[0]
     np.testing.assert_array_equal(found[:, : size[1]], picture)
     assert tuple(found[0, -1]) == paper
-
-
-def test_matplotlib_is_not_imported_for_them(tmp_path: Path) -> None:
-    program = (
-        "import sys, numpy; from lfgpu.viz.pictures import write_disparity; "
-        f"write_disparity(numpy.eye(9), {str(tmp_path / 'a.png')!r}, name='eye'); print('matplotlib' in sys.modules)"
-    )
-    assert (
-        subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout == "False\n"
-    )
 
 
 def test_points_stand_where_the_geometry_says() -> None:
