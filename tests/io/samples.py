@@ -1,7 +1,6 @@
 """Small light fields in files, and what refusals look like."""
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -95,13 +94,3 @@ def refusal(call: Callable[[], object]) -> str:
     assert text.endswith(".")
     assert "\n" not in text
     return text
-
-
-@contextmanager
-def refused_or_not() -> Iterator[list[str]]:
-    """Lets a LightFieldError pass, whose sentence is in the list then; nothing else."""
-    said: list[str] = []
-    try:
-        yield said
-    except LightFieldError as error:
-        said.append(str(error))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from samples import CFG, HEIGHT, WIDTH, picture, refusal, save, save_hci, star
+from samples import CFG, HEIGHT, WIDTH, picture, refusal, save, save_hci
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
@@ -35,14 +35,6 @@ def test_hci_truth_and_mask_belong_to_the_centre_view(tmp_path: Path) -> None:
     disparity[0, 1] = np.nan
     np.testing.assert_array_equal(truth.disparity, disparity)
     np.testing.assert_array_equal(truth.mask[1:], disparity[1:] > 7)
-
-
-def test_hci_star_of_views(tmp_path: Path) -> None:
-    indices = sorted(5 * row + column for row, column in star(5))
-    light_field = read(save_hci(tmp_path, indices, rows=5, columns=5))
-    assert light_field.notes == ()
-    assert light_field.positions[light_field.reference_index].tolist() == [2, 2]
-    assert len(light_field.missing) == 8
 
 
 def test_hci_with_lost_views(tmp_path: Path) -> None:
@@ -117,10 +109,6 @@ def test_hci_two_files_for_one_view(tmp_path: Path) -> None:
     save(tmp_path / "input_Cam4.png")
     text = refusal(lambda: read(tmp_path))
     assert "input_Cam004.png and input_Cam4.png" in text
-
-
-def test_hci_one_view(tmp_path: Path) -> None:
-    assert "one view only (input_Cam004.png)" in refusal(lambda: read(save_hci(tmp_path, [4])))
 
 
 @pytest.mark.parametrize("name", ["gt_disp_lowres.pfm", "valid_mask.png"])
@@ -225,15 +213,4 @@ def test_hci_does_not_mix_with_what_was_there(tmp_path: Path) -> None:
 def test_hci_holds_grids_only(tmp_path: Path) -> None:
     light_field = replace(scene(name="array"), grid_shape=None)
     assert "array is not a grid of views" in refusal(lambda: write_hci(light_field, tmp_path / "out"))
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_hci_failing_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object, **__: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("lfgpu.io.hci.write_parameters", full)
-    text = refusal(lambda: write_hci(scene(), tmp_path / "deep" / "out"))
-    assert str(tmp_path / "deep" / "out") in text
-    assert "No space left on device" in text
     assert list(tmp_path.iterdir()) == []

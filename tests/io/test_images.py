@@ -303,11 +303,6 @@ def test_damaged_images_are_named(tmp_path: Path, suffix: str, kept: float) -> N
     assert f"0_1.{suffix} cannot be read as an image" in refusal(lambda: read(tmp_path))
 
 
-def test_text_is_no_image(tmp_path: Path) -> None:
-    (tmp_path / "a.png").write_text("<html>404 Not Found</html>")
-    assert "a.png cannot be read as an image: it is none" in refusal(lambda: read_image(tmp_path / "a.png"))
-
-
 @pytest.mark.parametrize("side", [12_000, 60_000])
 def test_absurd_sizes_are_refused_before_memory_is_taken(tmp_path: Path, side: int) -> None:
     (tmp_path / "a.png").write_bytes(png_bytes(side, side, 8, 2, b""))

@@ -10,7 +10,7 @@ import pytest
 from fields import SAMPLES, scene
 from lenslet_samples import Camera, capture, eight_bit
 from PIL import Image
-from samples import box, refusal, save_named, star
+from samples import refusal
 from scipy import ndimage
 from scipy.io import loadmat
 from typer.testing import CliRunner, Result
@@ -20,7 +20,7 @@ from lfgpu.cli import app
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
-from lfgpu.io import load, read, read_map, recognise, save
+from lfgpu.io import load, read, read_map, save
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet import entry as module
 from lfgpu.io.lenslet.capture import read_capture
@@ -77,13 +77,6 @@ def test_what_is_refused_leaves_nothing(options: list[str], words: str, raw: Pat
     assert re.fullmatch(r"lfgpu: [^\n]*\.\n", outcome.stderr)
     assert words in outcome.stderr
     assert not (tmp_path / "views").exists()
-
-
-def test_what_is_no_file_is_said(tmp_path: Path) -> None:
-    for path, words in ((tmp_path / "nowhere.lfp", "does not exist"), (tmp_path, "is not a raw capture")):
-        outcome = lfgpu("decode", path, "-o", tmp_path / "views")
-        assert outcome.exit_code == 1
-        assert words in outcome.stderr
 
 
 made: list[str] = []
@@ -157,12 +150,6 @@ def their_centres(real_folder: Path) -> np.ndarray:
 @pytest.fixture(params=CAPTURES)
 def real_folder(data_folder: Path) -> Path:
     return data_folder
-
-
-def test_the_raw_file_is_recognised(real_folder: Path) -> None:
-    entry, reason = recognise(real_raw(real_folder))
-    assert entry.name == "lenslet"
-    assert "microlenses" in reason
 
 
 def test_the_grid_is_theirs(real_folder: Path) -> None:
@@ -271,23 +258,6 @@ def test_batches_take_each_container_that_has_views(stack: Path, tmp_path: Path)
     items, barren = find_items([str(tmp_path)], sequence=False)
     assert [item.name for item in items] == ["IMG_0002-stk.lfp", "damaged.lfp"]
     assert barren == []
-
-
-def test_patterns_that_are_meant_are_not_missing(tmp_path: Path) -> None:
-    said = told("info", save_named(tmp_path / "star", star(5)))
-    assert "17 of 25 in a 5 x 5 grid (rows x columns), a star" in said
-    assert "missing" not in said
-    corners = told("info", save_named(tmp_path / "corners", [(0, 0), (0, 8), (8, 0), (8, 8)]))
-    assert "missing 77" not in corners
-    assert "4 of 81 views of the 9 x 9 grid are there" in corners
-    assert "missing 1: row 2, column 2" in told("info", save_named(tmp_path / "lost", box(3, 3)[:-1]))
-
-
-def test_maps_of_one_view_are_refused_for_new_views_by_the_name_of_the_option(tmp_path: Path) -> None:
-    folder = save_named(tmp_path / "lf", box(3, 3))
-    (tmp_path / "maps").mkdir()
-    said = told("render", folder, "--view=0,1", "--maps", tmp_path / "maps", "-o", tmp_path / "a.png", code=1)
-    assert "run lfgpu depth --all-views, or leave --maps out" in said
 
 
 def test_depth_of_cameras_of_which_no_two_are_in_line(tmp_path: Path) -> None:

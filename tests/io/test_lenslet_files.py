@@ -1,19 +1,15 @@
 """Raw captures in the files of cameras: containers, packed bits, and everything that can be wrong with them."""
 
-import copy
 import json
 import struct
-import tempfile
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from lenslet_samples import Camera, Sample, capture, container, eight_bit, metadata, packed, section
 from PIL import Image
-from samples import changed, refusal, refused_or_not
+from samples import changed, refusal
 
 from lfgpu.io import read, recognise
 from lfgpu.io.lenslet.capture import read_capture, unpack
@@ -196,62 +192,6 @@ def test_a_changed_picture_is_noticed(tmp_path: Path) -> None:
     start = bytes(data).index(packed(values(12), 12))
     data[start + 5] ^= 1
     assert "SHA-1" in read_capture(write(tmp_path / "a.lfp", bytes(data))).notes[0]
-
-
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(data=st.data())
-def test_whatever_is_wrong_with_a_container_is_said(data: st.DataObject) -> None:
-    whole = bytearray(small(data.draw(st.sampled_from([12, 10]))))
-    for _ in range(data.draw(st.integers(1, 4))):
-        place = data.draw(st.integers(8, len(whole) - 1))
-        match data.draw(st.sampled_from(["byte", "cut", "hole", "more"])):
-            case "byte":
-                whole[place] = data.draw(st.integers(0, 255))
-            case "cut":
-                del whole[max(place, 16) :]
-            case "hole":
-                del whole[place : place + data.draw(st.integers(1, 40))]
-            case "more":
-                whole[place:place] = data.draw(st.binary(min_size=1, max_size=40))
-        if len(whole) <= 9:
-            break
-    with tempfile.TemporaryDirectory() as folder:
-        path = write(Path(folder) / "a.lfp", bytes(whole))
-        with refused_or_not() as said:
-            found = read_capture(path)
-            assert found.mosaic.size == SHAPE[0] * SHAPE[1]
-            assert 0 <= found.mosaic.min() <= found.mosaic.max() <= 1
-    assert all("a.lfp" in text for text in said)
-
-
-@settings(max_examples=50, deadline=None)
-@given(
-    about=st.recursive(
-        st.none() | st.booleans() | st.floats(allow_nan=True) | st.text(max_size=5) | st.integers(),
-        lambda inner: (
-            st.lists(inner, max_size=3)
-            | st.dictionaries(
-                st.sampled_from(
-                    ["image", "rawDetails", "width", "height", "pixelPacking", "mosaic", "pixelFormat", "color"]
-                ),
-                inner,
-                max_size=5,
-            )
-        ),
-        max_leaves=12,
-    )
-)
-def test_whatever_stands_in_the_metadata_is_no_crash(about: Any) -> None:
-    full = metadata(SHAPE)
-    mixed = copy.deepcopy(full)
-    if isinstance(about, dict):
-        mixed["image"].update(about)
-    with tempfile.TemporaryDirectory() as folder:
-        for value in (about, mixed):
-            path = write(Path(folder) / "a.lfp", container(packed(values(12), 12), value))
-            with refused_or_not() as said:
-                assert read_capture(path).mosaic.shape == SHAPE
-            assert all("a.lfp" in text for text in said)
 
 
 def test_a_container_of_something_else_shows_no_microlenses(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 import copy
 import json
 import os
-import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,8 @@ import lytro_samples
 import numpy as np
 import pytest
 from fields import SAMPLES, scene
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from lenslet_samples import container, metadata, packed, section
-from samples import refusal, refused_or_not
+from lenslet_samples import container, metadata, packed
+from samples import refusal
 
 from lfgpu.io import parallax, read, recognise
 from lfgpu.io.lytro import inside
@@ -226,37 +223,3 @@ def test_videos_that_are_not_what_they_are_said_to_be(tmp_path: Path) -> None:
 def test_unknown_accelerations_are_named(tmp_path: Path) -> None:
     path = write(tmp_path, lytro_samples.processed([("hologram", {})], []))
     assert "an acceleration 'hologram', which is not known" in refusal(lambda: read(path))
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.floats(allow_nan=True) | st.text(max_size=5) | st.integers(),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(
-            st.sampled_from(["type", "kind", "vendorContent", "imageArray", "perImage", "blockOfImages", "depthMap"]),
-            inner,
-            max_size=4,
-        )
-    ),
-    max_leaves=15,
-)
-
-
-@settings(max_examples=100, deadline=None)
-@given(value=JSON, key=st.sampled_from(["picture", "frames", "views", "master"]), metadata=JSON)
-def test_whatever_stands_in_the_table_is_no_crash(value: Any, key: str, metadata: Any) -> None:
-    stored = json.dumps(metadata).encode()
-    name = section(b"C", stored)[1]
-    tables = [
-        {key: value},
-        {"picture": {"accelerationArray": value}},
-        {"picture": {"accelerationArray": [{"type": "x.edofParallax", "vendorContent": value}]}},
-        {"views": [{"accelerations": [value]}]},
-        {"picture": {"frameArray": [{"frame": {"metadataRef": name, "imageRef": value}}]}},
-    ]
-    with tempfile.TemporaryDirectory() as folder:
-        for table in tables:
-            path = write(Path(folder), lytro_samples.whole(table, [stored]))
-            with refused_or_not() as said:
-                assert inside(path).facts
-            assert all("a.lfp" in text for text in said)

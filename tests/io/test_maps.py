@@ -150,11 +150,6 @@ def test_points_and_comments_come_back(file: Path) -> None:
         np.testing.assert_array_equal(points[name], POINTS[name])
 
 
-def test_other_programs_read_them(file: Path) -> None:
-    trimesh = pytest.importorskip("trimesh")
-    np.testing.assert_array_equal(trimesh.load(file, process=False).vertices[:, 1], POINTS["y"])
-
-
 def test_what_other_programs_write_is_read(file: Path, tmp_path: Path) -> None:
     """Lines that end as on Windows, sized names of types, remarks, and faces after the points."""
     head, _, data = file.read_bytes().partition(b"end_header\n")

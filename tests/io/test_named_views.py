@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from lenslet_samples import Camera, capture, container, eight_bit, metadata, packed
 from PIL import Image
-from samples import HEIGHT, WIDTH, box, cross, picture, refusal, save, save_hci, save_named, star
+from samples import box, cross, picture, refusal, save, save_hci, save_named, star
 
 from lfgpu.batch.items import find_items
 from lfgpu.io import read
@@ -34,17 +34,6 @@ def test_common_names(tmp_path: Path, pattern: str) -> None:
     assert light_field.name == tmp_path.name
     assert light_field.notes == ()
     assert light_field.reading.places.endswith("; rows count from 0, columns from 0")
-
-
-def test_jpeg_views(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path, box(2, 2), "img-{0}-{1}.jpg"))
-    assert light_field.views.shape == (4, HEIGHT, WIDTH, 3)
-
-
-def test_rows_are_v_and_columns_are_u(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path, box(2, 3)))
-    np.testing.assert_array_equal(light_field.positions, [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1], [2, 1]])
-    assert light_field.reference == 4  # row 2 // 2, column 3 // 2
 
 
 def test_numbers_may_start_at_1_and_need_no_leading_zeros(tmp_path: Path) -> None:
@@ -151,19 +140,6 @@ def test_lost_views_are_named(tmp_path: Path) -> None:
     assert "14 of 16 views of the 4 x 4 grid are there." in light_field.notes
 
 
-def test_many_lost_views_are_not_all_named(tmp_path: Path) -> None:
-    text = refusal(lambda: read(save_named(tmp_path, box(5, 5)[:6] + box(5, 5)[12:])))
-    assert "lacks 6" in text
-    assert text.count("column") == 5
-    assert ", ..." in text
-
-
-def test_sparse_grids_pass_with_a_note(tmp_path: Path) -> None:
-    places = [(0, 0), (0, 2), (1, 1), (2, 2)]
-    light_field = read(save_named(tmp_path, places))
-    assert "4 of 9 views of the 3 x 3 grid are there." in light_field.notes
-
-
 def test_without_the_centre_view_the_nearest_is_the_reference(tmp_path: Path) -> None:
     light_field = read(save_named(tmp_path, set(box(3, 3)) - {(1, 1)}), allow_missing=True)
     row, column = light_field.positions[light_field.reference_index][::-1].astype(int)
@@ -214,16 +190,6 @@ def test_corners_alone(tmp_path: Path) -> None:
     assert (light_field.grid_shape, len(light_field.views)) == ((7, 7), 4)
     assert np.abs(light_field.offsets).max() == 6
     assert "The centre view (row 3, column 3) is missing" in light_field.notes[-1]
-
-
-@pytest.mark.parametrize("mode", ["RGB", "RGBA", "L", "P", "1"])
-def test_grids_of_16_x_16_bitmaps(mode: str, tmp_path: Path) -> None:
-    for row, column in box(16, 16):
-        Image.fromarray(picture(row + column)).convert(mode).save(tmp_path / f"{row:02d}_{column:02d}.bmp")
-    light_field = read(tmp_path)
-    assert (light_field.grid_shape, len(light_field.views)) == ((16, 16), 256)
-    assert light_field.positions[light_field.reference_index].tolist() == [8, 8]
-    assert light_field.channels == (1 if mode in "L1" else 3)
 
 
 def test_a_folder_of_raw_captures_is_several_light_fields(tmp_path: Path) -> None:

@@ -169,13 +169,6 @@ def test_a_row_whose_pictures_show_it_is_not_asked_about(true: LightField, tmp_p
     assert found.grid_shape == (1, 6)
 
 
-def test_gaps_are_always_asked_about(tmp_path: Path) -> None:
-    for number in (0, 1, 2, 3, 10):
-        save(tmp_path / f"img{number}.png", picture(number))
-    assert "lacks 6 of the 11 views" in asked(tmp_path)
-    assert len(read(tmp_path, allow_missing=True).views) == 5
-
-
 def test_what_is_named_otherwise(tmp_path: Path) -> None:
     for number in range(5):
         save(tmp_path / f"cam{number}.png", picture(number))

@@ -211,15 +211,6 @@ def test_stanford_y_counts_downwards_whether_names_end_in_an_underscore_or_not(t
         np.testing.assert_allclose(found.positions, [[0, 1], [0, 0]])
 
 
-def test_stanford_a_row_with_gaps(tmp_path: Path) -> None:
-    columns = [0, 1, 2, 5, 6, 9]
-    places = [(8, column, -451.0 + 0.3 * (column % 3), 1103.0 - 8.7 * column) for column in columns]
-    found = read(save_stanford(tmp_path, places))
-    np.testing.assert_allclose(found.positions[:, 0], 9 - np.array(columns), atol=1e-9)
-    np.testing.assert_allclose(found.positions[:, 1] * 8.7, 0.3 * (np.array(columns) % 3), atol=1e-9)
-    assert "One view step is 8.7 in the unit" in found.notes[0]
-
-
 def test_stanford_pictures_are_believed_against_names(tmp_path: Path, true: LightField) -> None:
     for index, (u, v) in enumerate(true.positions):
         name = f"out_{round(v):02d}_{round(u):02d}_{-v:.3f}_{u:.3f}_.png"
@@ -260,17 +251,6 @@ def test_a_description_by_hand(tmp_path: Path) -> None:
     assert (found.geometry.focus_distance_m, found.geometry.principal_point) == (float("inf"), (1, 2))
     assert found.valid[0].all()
     np.testing.assert_array_equal(found.valid[1], picture(3, 1)[..., 0] > 100)
-
-
-def test_a_description_of_another_format(tmp_path: Path, true: LightField) -> None:
-    SAMPLES["npy"].write(true, tmp_path)
-    description = tmp_path / "lightfield.toml"
-    description.write_text(
-        '[source]\npath = "views.npy"\nformat = "numpy"\nflip = "v"\n[geometry]\nfocal_length_px = 9\nbaseline_m = 1\n'
-    )
-    found = read(tmp_path)
-    np.testing.assert_array_equal(found.view(0, 1), true.view(4, 1))
-    assert found.geometry is not None
 
 
 @pytest.mark.parametrize(

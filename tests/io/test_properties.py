@@ -13,13 +13,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fields import SAMPLES, scene
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 from PIL import Image
-from samples import refusal
 
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
@@ -27,8 +25,6 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import FORMATS, read, read_map, read_mask, write_description, write_pfm
 from lfgpu.io.flips import FLIPS, flipped
 from lfgpu.io.images import read_image
-from tests.io import mutations
-from tests.io.targets import TARGETS
 
 if sys.platform == "linux":
     from tests.io import fuzz
@@ -70,32 +66,6 @@ def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> No
     assert sorted(tally.failures) == ["seed 0, npy: the process ended with 7", "seed 1, npy: 'Traceback'"]
     assert tally.summary()["inputs_of_each"] == {"npy": 600}  # what came after a crash is tried, too
     assert tally.refused == 598
-
-
-@pytest.mark.thorough
-@ON_LINUX
-def test_the_fuzzer_leaves_out_what_needs_a_library_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "h5py", None)
-    monkeypatch.setitem(sys.modules, "yaml", None)
-    tally = fuzz.run(4, names=["hci-hdf5", "kalibr", "npy"])
-    assert sorted(tally.left_out) == ["hci-hdf5", "kalibr"]
-    assert tally.inputs == {"npy": 4}
-
-
-@pytest.mark.thorough
-@ON_LINUX
-@pytest.mark.parametrize("name", TARGETS)
-def test_damage_that_knows_a_format_changes_its_files(name: str, tmp_path: Path) -> None:
-    """Files that no such damage is for are those of video and HDF5, which has its own."""
-    path = TARGETS[name].write(tmp_path)
-    files = {file.suffix: file for file in [path, *path.rglob("*")] if file.is_file()}
-    for suffix in files.keys() - {".mkv", ".h5", ".html"}:
-        before = files[suffix].read_bytes()
-        changed = 0
-        for seed in range(12):
-            with suppress(Exception):  # some draws do not fit, and are made blindly then
-                changed += mutations.BY_SUFFIX[suffix](before, np.random.default_rng(seed)) != before
-        assert changed > 6, suffix
 
 
 BEGINNINGS = [
@@ -285,12 +255,3 @@ def test_maps_come_back_bit_for_bit(values: NDArray[np.float32]) -> None:
             np.savez(buffer, disparity=values)
             (place / "a.npz").write_bytes(buffer.getvalue())
         np.testing.assert_array_equal(read_map(place / "a.npz"), values)
-
-
-def test_samples_that_are_whole_are_read(tmp_path: Path) -> None:
-    """The fuzzer starts from sound files: it finds its own damage only."""
-    for name in ("npy", "mosaic"):
-        (tmp_path / name).mkdir()
-        path = SAMPLES[name].write(scene((3, 3), (36, 34)), tmp_path / name)
-        assert read_or_refused(path, **({"grid": (3, 3)} if name == "mosaic" else {})) is not None
-    assert "does not exist" in refusal(lambda: read(tmp_path / "nothing"))

@@ -9,11 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
-from lfgpu.errors import LightFieldError
-from lfgpu.io import parallax, read, read_map, write_description
+from lfgpu.io import parallax, read, read_map
 from lfgpu.io.flips import flipped
 from lfgpu.io.images import read_image
-from lfgpu.io.png import write_png
 
 DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -113,22 +111,6 @@ def test_real_export_of_an_old_scene() -> None:
     assert right_way < 0.5 * wrong_way
 
 
-def test_real_export_as_hdf5(tmp_path: Path) -> None:
-    """The old HCI files themselves are not at hand: one is made of the export, its columns from the right as theirs."""
-    h5py = pytest.importorskip("h5py")
-    export = read(real("stillLife_3x3"))
-    depth = np.ones((3, 3, 768, 768), np.float32)
-    depth[1, 1] = np.fromfile(real("stillLife_3x3") / "depth.bin", "<f4").reshape(768, 768)
-    with h5py.File(tmp_path / "stillLife.h5", "w") as file:
-        file["LF"] = export.views.reshape(3, 3, 768, 768, 3)[:, ::-1]
-        file["GT_DEPTH"] = depth
-        file.attrs.update({"dH": 614.4, "dV": 614.4, "focalLength": 9.375, "shift": 288})
-    found = read(tmp_path / "stillLife.h5")
-    np.testing.assert_array_equal(found.views[found.index_of(0, 2)], export.views[export.index_of(0, 2)])
-    np.testing.assert_array_equal(found.truth.disparity, export.truth.disparity)
-    assert found.geometry == export.geometry
-
-
 def test_real_stanford_names() -> None:
     """The floor before the knights is nearer than the wall behind them, in the directions that the names say."""
     light_field = read(real("real/stanford_knights"))
@@ -161,38 +143,8 @@ def test_real_row_of_cameras() -> None:
     assert -0.05 < means[0] < 0.15 < 0.3 < means[1]
 
 
-def test_real_lytro_views_as_a_mosaic(tmp_path: Path) -> None:
-    light_field = read(real("lytro_2067")).crop(slice(100, 228), slice(200, 360))
-    grid = light_field.views.reshape(9, 9, 128, 160, 3)
-    image = grid.transpose(2, 0, 3, 1, 4).reshape(128 * 9, 160 * 9, 3)
-    write_png(tmp_path / "a_eslf.png", image)
-    found = read(tmp_path / "a_eslf.png")
-    assert found.grid_shape == (9, 9)
-    np.testing.assert_array_equal(found.view(3, 5), light_field.view(3, 5))
-    assert found.valid is None or found.valid[found.reference_index].all()
-
-
 @pytest.mark.parametrize("name", ["cotton", "kitchen", "stillLife_3x3", "lytro_2067", "tao2013_IMG_1", "tao2013_IMG_4"])
 def test_real_axes_run_alike(name: str) -> None:
     light_field = read(real(name))
     assert parallax.axes_agree(light_field) is True
     assert parallax.axes_agree(flipped(light_field, "v")) is False
-
-
-def test_real_matlab_file_of_another_kind() -> None:
-    file = real("tao2013_IMG_1").parent / "tao2013_image_cords.mat"
-    with pytest.raises(LightFieldError, match="it holds image_cords"):
-        read(file)
-
-
-@pytest.mark.parametrize("name", ["kitchen", "stillLife_3x3", "tao2013_IMG_1", "mansion/images"])
-def test_real_descriptions_read_back(name: str, tmp_path: Path) -> None:
-    first = read(real(name))
-    write_description(first, tmp_path / "a.toml", source={})
-    again = read(tmp_path / "a.toml")
-    np.testing.assert_array_equal(again.views, first.views)
-    np.testing.assert_array_equal(again.positions, first.positions)
-    assert (again.geometry, again.reference, again.grid_shape) == (first.geometry, first.reference, first.grid_shape)
-    if first.truth is not None:
-        np.testing.assert_array_equal(again.truth.disparity, first.truth.disparity)
-        np.testing.assert_array_equal(again.truth.mask, first.truth.mask)
