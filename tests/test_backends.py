@@ -1,6 +1,5 @@
 """The seam between host and kernels: backends, sentences for what is missing, and compiling that is timed by itself."""
 
-import builtins
 import importlib
 import importlib.metadata
 import importlib.util
@@ -10,7 +9,6 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
 
-import conftest
 import numpy as np
 import pytest
 from lfgpu.kernels.warp import threads
@@ -140,47 +138,7 @@ def test_a_result_lists_the_package_of_its_backend(target: Any) -> None:
     assert result.versions.keys() == {"lfgpu", "numpy", "scipy", _backends.package_of(target.backend)}
 
 
-def test_loading_the_reference_does_not_load_warp(monkeypatch: pytest.MonkeyPatch) -> None:
-    original = builtins.__import__
-
-    def watched(name: str, *args: Any, **kwargs: Any) -> Any:
-        assert name.partition(".")[0] not in ("warp", "taichi")
-        return original(name, *args, **kwargs)
-
-    monkeypatch.setattr(builtins, "__import__", watched)
-    assert _backends.load("reference").devices() == ("cpu",)
-
-
 # --- devices ---
-
-
-def test_tests_try_a_backend_of_one_device_on_the_first_that_it_names(monkeypatch: pytest.MonkeyPatch) -> None:
-    started: list[str] = []
-
-    def zeros(shape: tuple[int, ...], device: str) -> None:
-        started.append(device)
-        if device != started[0]:
-            raise BackendError(f"runs on {started[0]} already.")
-
-    one_device = SimpleNamespace(devices=lambda: ("cuda:0", "cpu"), zeros=zeros)
-    monkeypatch.setattr(conftest, "list_backends", lambda: ("one",))
-    monkeypatch.setattr(conftest, "load", lambda backend: one_device)
-    first, second = conftest._find_targets(None, None)
-    assert (first.device, first.kernels) == ("cuda:0", one_device)
-    assert (second.device, second.kernels, second.reason) == ("cpu", None, "runs on cuda:0 already.")
-    started.clear()
-    first, second = conftest._find_targets("one", "cpu")
-    assert (first.device, first.kernels, first.reason) == ("cuda:0", None, "--device=cpu")
-    assert (second.device, second.kernels) == ("cpu", one_device)
-
-
-def test_a_run_that_can_try_nothing_of_what_it_names_is_refused() -> None:
-    there = conftest.Target("one", "cpu", _backends.load("reference"))
-    gone = conftest.Target("one", "cuda:0", None, "no GPU")
-    conftest._refuse_nothing([gone], None, None)  # nothing was named
-    conftest._refuse_nothing([there, gone], "one", None)
-    with pytest.raises(pytest.UsageError, match=r"cannot be tried here \(one-cuda:0: no GPU\)"):
-        conftest._refuse_nothing([gone, conftest.Target("two", "any device", None, "--backend=one")], "one", None)
 
 
 @pytest.mark.parametrize(
@@ -239,14 +197,6 @@ def test_the_first_stage_is_not_charged_with_compiling(compiled: set[str]) -> No
     again = estimate_depth(lf, config="fast", disparity_range=RANGE).timings
     assert again["compile"] == 0
     assert again["total"] == len(stages) * WORKING
-
-
-def test_what_came_before_the_first_run_is_no_part_of_the_second(compiled: set[str]) -> None:
-    made = pipeline.DepthPipeline(a_light_field(), config="fast", disparity_range=RANGE)
-    assert made.estimate().timings["compile"] > 0
-    again = made.estimate().timings
-    assert list(again) == [*(stage.name for stage in method_of("fast").stages), "total"]
-    assert again["total"] == (len(again) - 1) * WORKING
 
 
 def test_nothing_is_rehearsed_where_nothing_is_compiled(compiled: set[str]) -> None:

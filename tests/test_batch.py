@@ -111,32 +111,6 @@ def test_kills_at_random_moments_cost_nothing(
     assert_nothing_left_over(tmp_path)
 
 
-def test_a_clock_that_is_put_forward_costs_nothing(
-    scene_folders: Path, undisturbed: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    import dask
-
-    real, day, ahead = time.time, 86400.0, [0.0]
-    for place in ("time.time", "distributed.scheduler.time"):
-        monkeypatch.setattr(place, lambda: real() + ahead[-1])
-    seen: set[int] = set()
-    cluster = local()
-
-    def jump(_: object) -> None:
-        ahead.append(day)  # from the first item on
-        seen.update(pids(cluster))
-
-    with dask.config.set({"distributed.scheduler.worker-ttl": "1 s"}):  # five minutes are too long for a test
-        items = find_items([str(scene_folders)], sequence=False)[0]
-        summary = Batch(items, tmp_path, SLOW).run(cluster, on_progress=jump)
-    assert [entry["item"] for entry in summary.failed] == ["scene_2"], [entry["error"] for entry in summary.failed]
-    assert summary.computed == 4
-    assert len(seen) == 1  # no worker was taken for dead
-    assert {entry["attempts"] for entry in summary.entries.values()} == {1}
-    assert all(0 <= entry["seconds"] < day for entry in summary.entries.values())
-    assert_same_maps(tmp_path, undisturbed)
-
-
 def test_the_time_of_an_item_is_not_that_of_a_clock_that_is_set_back(
     scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -16,10 +16,8 @@ from benchmarks.confidence import Sample, Weights
 from lfgpu import DepthResult, LightField, Reason, estimate_depth, reasons, scenes
 from lfgpu.cli import app
 from lfgpu.data.filling import filled
-from lfgpu.data.points import point_cloud
 from lfgpu.errors import LightFieldError
 from lfgpu.io.hci import write_hci
-from lfgpu.viz.colours import painted
 
 RANGE = (-1.6, 1.7)
 WEIGHTS = Weights({"once": (0.5, -1.2, 0.8, -0.4, 0.3, 0.2)}, {"once": (-3.0, 0.5, -1.0, 0.3, -0.2, 0.1)})
@@ -78,14 +76,6 @@ def test_files_of_maps_keep_it(tmp_path: Path, suffix: str) -> None:
     loaded = lfgpu.load(tmp_path / f"map.{suffix}")
     np.testing.assert_array_equal(loaded.uncertainty, result.uncertainty)
     np.testing.assert_array_equal(loaded.disparity, result.disparity)
-
-
-def test_results_keep_it(tmp_path: Path) -> None:
-    result = estimated(scene())
-    result.save(tmp_path / "result.npz")
-    loaded = lfgpu.load(tmp_path / "result.npz")
-    assert isinstance(loaded, DepthResult)
-    np.testing.assert_array_equal(loaded.uncertainty, result.uncertainty)
 
 
 def test_tiles_have_the_same() -> None:
@@ -286,20 +276,6 @@ def test_they_leave_the_rest_as_it_is(target: Any) -> None:
     assert np.nanquantile(np.abs(maps[0] - whole.disparity), 0.95) < 0.01
 
 
-def test_tiles_have_the_same_holes() -> None:
-    lf = masked((150, 220))
-    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu", max_memory="1GiB")
-    np.testing.assert_array_equal(np.isnan(result.disparity), hole(lf))
-    assert (result.confidence[hole(lf)] == 0).all()
-
-
-def test_streams_have_the_same_holes_in_every_frame() -> None:
-    lf = masked()
-    with lfgpu.DepthStream(lf, config="fast", disparity_range=RANGE, device="cpu") as stream:
-        for _ in range(3):
-            np.testing.assert_array_equal(np.isnan(stream.push(lf.views).numpy()), hole(lf))
-
-
 def test_maps_of_all_views_are_nan_where_no_key_view_shows_the_pixel() -> None:
     lf = masked()
     result = lfgpu.estimate_all_views(lf, keys=1, config="fast", disparity_range=RANGE)
@@ -307,29 +283,6 @@ def test_maps_of_all_views_are_nan_where_no_key_view_shows_the_pixel() -> None:
     assert not known[lf.reference_index][hole(lf)].any()
     assert known[lf.reference_index][~hole(lf)].all()
     assert (result.confidences[~known] == 0).all()
-
-
-@pytest.mark.parametrize("suffix", ["npz", "pfm", "tif", "exr", "png"])
-def test_files_keep_them(tmp_path: Path, suffix: str) -> None:
-    if suffix == "exr":
-        pytest.importorskip("OpenEXR")
-    lf = masked()
-    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu")
-    result.save(tmp_path / f"map.{suffix}")
-    loaded = lfgpu.load(tmp_path / f"map.{suffix}")
-    np.testing.assert_array_equal(np.isnan(loaded.disparity), hole(lf))
-    np.testing.assert_allclose(loaded.disparity, result.disparity, atol=1e-4)  # NaN are equal
-    if suffix == "png":  # whose scale is that of the known values
-        assert np.nanmin(loaded.disparity) == pytest.approx(np.nanmin(result.disparity), abs=1e-6)
-
-
-def test_they_have_no_point_and_are_grey() -> None:
-    lf = masked()
-    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=RANGE, device="cpu")
-    assert len(point_cloud(result).points) == (~hole(lf)).sum()
-    pictured = painted(result.disparity, "viridis", RANGE)
-    assert len(np.unique(pictured[hole(lf)], axis=0)) == 1
-    assert np.ptp(pictured[hole(lf)][0].astype(int)) < 10
 
 
 def test_filling_takes_the_farther_side_and_says_so() -> None:

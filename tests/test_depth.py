@@ -52,9 +52,9 @@ def estimated(**options: Any) -> DepthResult:
 
 
 @cache
-def converged(solver: str = "lbfgs", **options: Any) -> DepthResult:
+def converged(solver: str) -> DepthResult:
     config = CONVERGED.with_values({"refinement.solver": solver})
-    return estimate_depth(tiny(**options), config=config, disparity_range=RANGE, device="cpu")
+    return estimate_depth(tiny(), config=config, disparity_range=RANGE, device="cpu")
 
 
 def scores(lf: LightField, result: DepthResult) -> dict[str, Metrics]:
@@ -82,19 +82,6 @@ def test_refined_map_of_a_wide_relief_is_within_two_hundredths_of_a_pixel() -> N
     assert scores(relief(**wide), estimated(**wide))["refine"].rmse < 0.02
 
 
-@pytest.mark.parametrize("disparity_range", [RANGE, WIDE], ids=["narrow", "wide"])
-def test_refined_map_is_better_than_what_it_comes_from(disparity_range: tuple[float, float]) -> None:
-    """Over two scenes together: on one of so few pixels chance has a say."""
-    cases = [{"seed": seed, "disparity_range": disparity_range} for seed in range(2)]
-    found = [scores(relief(**case), estimated(**case)) for case in cases]
-    rmse = {stage: np.sqrt(np.mean([score[stage].rmse ** 2 for score in found])) for stage in found[0]}
-    assert rmse["refine"] < rmse["propagate"]
-    assert rmse["refine"] < rmse["local"]
-    bad = {stage: np.mean([score[stage].badpix_07 for score in found]) for stage in found[0]}
-    assert bad["refine"] < bad["propagate"]
-    assert bad["refine"] < bad["local"]
-
-
 @pytest.mark.parametrize(("name", "noise"), [("textureless", 0.0), ("relief", 0.02)], ids=["textureless", "noisy"])
 def test_propagated_map_fills_and_is_better_than_the_local_one(name: str, noise: float) -> None:
     """Although only what was defined counts in the local map's error."""
@@ -116,15 +103,15 @@ def test_a_piece_of_a_real_benchmark_is_found(data_folder: Path) -> None:
     assert result.disparity_range[0] <= np.quantile(truth, 0.01) < np.quantile(truth, 0.99) <= result.disparity_range[1]
 
 
-@pytest.mark.parametrize("place", [(0, 0), (3, 6)], ids=str)
-def test_any_view_may_be_the_reference(place: tuple[int, int]) -> None:
+def test_any_view_may_be_the_reference() -> None:
+    place = (3, 6)
     lf = relief(reference=place)
     result = estimated(reference=place)
     assert scores(lf, result)["refine"].rmse < 0.035
     assert result.position == (place[1], place[0])
 
 
-@pytest.mark.parametrize("pattern", ["star", "cross", "row", "column"])
+@pytest.mark.parametrize("pattern", ["star", "column"])
 def test_some_of_the_views_are_enough(pattern: str) -> None:
     lf = relief().subset(pattern)
     assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refine"].rmse < 0.035
@@ -145,9 +132,10 @@ def test_range_is_found_where_it_is_not_given() -> None:
 def test_other_kinds_of_values_give_the_same_map() -> None:
     grey = tiny(channels=1)
     colour = LightField(np.repeat(grey.views, 3, axis=3), grey.positions, reference=grey.reference)
-    one, other = (estimate_depth(lf, config=CONVERGED, disparity_range=RANGE).disparity for lf in (grey, colour))
+    one, other = (estimate_depth(lf, config=QUICK, disparity_range=RANGE).disparity for lf in (grey, colour))
     assert difference(one, other, 0.5) < 1e-3  # 95 % of them are below 0.011 only
-    assert difference(*(converged(dtype=dtype).disparity for dtype in ("float32", "uint16"))) < 1e-3
+    stored = (estimate_depth(tiny(dtype=dtype), config=QUICK, disparity_range=RANGE) for dtype in ("float32", "uint16"))
+    assert difference(*(result.disparity for result in stored)) < 1e-3
     fine = estimate_depth(small(dtype="float32"), disparity_range=RANGE, device="cpu")
     assert difference(fine.disparity, upright().disparity) < 0.01
 
@@ -165,16 +153,10 @@ def mirrored(lf: LightField) -> LightField:
     return LightField(lf.views[:, :, ::-1].copy(), lf.positions * (-1, 1), reference=lf.reference)
 
 
-def rotated(lf: LightField) -> LightField:
-    """A quarter turn: what was to the right is now below."""
-    turned = np.ascontiguousarray(np.rot90(lf.views, -1, axes=(1, 2)))
-    return LightField(turned, np.stack([-lf.positions[:, 1], lf.positions[:, 0]], 1), reference=lf.reference)
-
-
 @pytest.mark.parametrize(
     ("turn", "back"),
-    [(transposed, np.transpose), (mirrored, np.fliplr), (rotated, np.rot90)],
-    ids=["transposed", "mirrored", "rotated"],
+    [(transposed, np.transpose), (mirrored, np.fliplr)],
+    ids=["transposed", "mirrored"],
 )
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
     one, other = upright(), estimate_depth(turn(small()), disparity_range=RANGE)
@@ -204,7 +186,7 @@ def test_masked_pixels_do_not_count() -> None:
     garbage = lf.views.copy()
     garbage[corners, :20, :20] = 255
     fields = (LightField(views, lf.positions, reference=lf.reference, valid=valid) for views in (lf.views, garbage))
-    one, other = (estimate_depth(field, config=CONVERGED, disparity_range=RANGE) for field in fields)
+    one, other = (estimate_depth(field, config=QUICK, disparity_range=RANGE) for field in fields)
     assert difference(one.disparity, other.disparity) < 1e-3
     assert np.abs(one.disparity - other.disparity).max() < 0.05
 
@@ -265,14 +247,6 @@ def test_result_says_how_it_came_about() -> None:
     assert " Refinement: " in result.status
     assert result.status.endswith(".")
     assert (result.backend, result.device, result.name, result.config) == ("warp", "cpu", "relief", QUICK)
-
-
-@pytest.mark.parametrize("solver", ["lbfgs", "lbfgsb"])
-def test_solver_of_the_refinement_is_the_one_asked_for(solver: str) -> None:
-    config = QUICK.with_values({"refinement.solver": solver})
-    result = estimate_depth(small(), disparity_range=RANGE, config=config)
-    said = {"lbfgs": "Refinement: L-BFGS stopped after 3", "lbfgsb": "Refinement: L-BFGS-B stopped after 3"}
-    assert said[solver] in result.status
 
 
 def test_solvers_of_the_refinement_find_the_same_map() -> None:

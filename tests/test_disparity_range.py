@@ -36,7 +36,7 @@ def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: flo
 @pytest.mark.parametrize("noise", [0.03, pytest.param(0.0, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_it_holds_the_scene(name: str, noise: float) -> None:
-    spans(scenes.make(name, seed=7, size=(160, 200), noise=noise), missing=0.002)
+    spans(scenes.make(name, seed=7, grid=(5, 5), size=(160, 200), noise=noise), missing=0.002)
 
 
 @pytest.mark.parametrize("extent", [(-3.0, 3.0), (0.5, 2.0), (-2.5, -1.0)], ids=str)
@@ -46,7 +46,7 @@ def test_it_holds_small_scenes_of_few_views(extent: tuple[float, float]) -> None
 
 @pytest.mark.parametrize("extent", [(14.2, 18.8), (-20.0, -17.0), (-6.0, 9.0)], ids=str)
 def test_it_holds_large_disparities(extent: tuple[float, float]) -> None:
-    spans(scenes.make("relief", grid=(5, 5), size=(256, 256), disparity_range=extent), more=1.0)
+    spans(scenes.make("relief", grid=(5, 5), size=(192, 192), disparity_range=extent), more=1.0)
 
 
 @pytest.mark.parametrize("grid", [(1, 9), (9, 1), (1, 17), (3, 3), (2, 2)], ids=str)
@@ -55,32 +55,32 @@ def test_it_holds_with_few_views_or_one_line_of_them(grid: tuple[int, int]) -> N
 
 
 def test_views_of_different_brightness_and_a_plain_wall_do_not_open_it() -> None:
-    lf = scenes.make("planes", size=(160, 160), noise=0.0)
+    lf = scenes.make("planes", grid=(5, 5), size=(160, 160), noise=0.0)
     assert lf.truth is not None
     dim = lf.views.astype(np.float32) / 255
     dim[:, :80] *= 0.02  # of whose texture noise leaves nothing
     noisy = dim + np.random.default_rng(0).normal(0, 0.01, dim.shape)
     spans(replace(lf, views=np.clip(noisy, 0, 1).astype(np.float32)), missing=0.002)
-    lf = scenes.make("boxes", size=(160, 160))
+    lf = scenes.make("boxes", grid=(5, 5), size=(160, 160))
     gains = np.random.default_rng(0).normal(1, 0.05, len(lf.views)).astype(np.float32)
     uneven = replace(lf, views=np.clip(lf.views / np.float32(255) * gains[:, None, None, None], 0, 1))
     spans(uneven, missing=0.002)
 
 
 def test_masked_pixels_have_no_say() -> None:
-    lf = scenes.make("relief", size=(128, 128))
+    lf = scenes.make("relief", grid=(5, 5), size=(128, 128))
     valid = np.ones(lf.views.shape[:3], bool)
     valid[:, :, :40] = False
     views = lf.views.copy()
     views[:, :, :40] = np.random.default_rng(0).integers(0, 255, (lf.size[0], 40, 3))  # at disparity 0, but masked
-    away = scenes.make("relief", size=(128, 128), disparity_range=(2.0, 3.0))
+    away = scenes.make("relief", grid=(5, 5), size=(128, 128), disparity_range=(2.0, 3.0))
     masked = replace(away, views=np.where(valid[..., None], away.views, views), valid=valid)
     assert find_disparity_range(masked)[0] > 1.5
     assert find_disparity_range(replace(masked, valid=None))[0] < 0.5
 
 
 def test_it_is_in_steps_of_the_cameras() -> None:
-    lf = scenes.make("planes", size=(128, 128), seed=2)
+    lf = scenes.make("planes", grid=(5, 5), size=(128, 128), seed=2)
     low, high = find_disparity_range(lf)
     apart = replace(lf, positions=lf.positions * 4, grid_shape=None)
     np.testing.assert_allclose([4 * bound for bound in find_disparity_range(apart)], [low, high], rtol=1e-5)
@@ -162,9 +162,7 @@ def test_it_holds_rendered_scenes(name: str) -> None:
     spans(read(DATA / name), missing=0.002, more=0.0)
 
 
-@pytest.mark.parametrize(
-    ("sigma", "step", "count", "side"), [(0, 1, 5, 200), (0.5, 3, 5, 200), (0.7, 2, 3, 400), (0, 5, 3, 700)]
-)
+@pytest.mark.parametrize(("sigma", "step", "count", "side"), [(0, 1, 5, 200), (0.7, 2, 3, 400)])
 def test_texture_finer_than_the_pixels_of_reduced_views(sigma: float, step: int, count: int, side: int) -> None:
     """Speckle on a plane of whole disparity is matched perfectly at full resolution, and looks like noise reduced."""
     reach = side + step * count

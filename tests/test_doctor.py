@@ -143,17 +143,6 @@ def test_a_cache_that_cannot_be_written_to_is_a_problem(monkeypatch: pytest.Monk
 
 
 @pytest.mark.usefixtures("only_reference")
-def test_a_full_disk_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: Any) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(checkup, "write_hci", full)
-    (problem,) = checkup.examine().problems
-    assert "cannot be written to" in problem
-    assert "No space left" in problem
-
-
-@pytest.mark.usefixtures("only_reference")
 @pytest.mark.parametrize(("extra", "module", "name"), [("exr", "OpenEXR", "File"), ("hdf5", "h5py", "File")])
 def test_a_library_that_does_not_fit_is_a_problem(
     extra: str, module: str, name: str, monkeypatch: pytest.MonkeyPatch
@@ -239,8 +228,3 @@ def test_completion_names_the_commands() -> None:
         env=variables, cwd=ROOT, capture_output=True, text=True,
     )  # fmt: skip
     assert {"depth", "decode", "demo"} == set(done.stdout.split()), done.stderr
-
-
-def test_backends_that_keep_kernels_say_where() -> None:
-    assert Path(_backends.load("warp").kernel_cache() or "").is_absolute()
-    assert _backends.load("reference").kernel_cache() is None

@@ -97,19 +97,11 @@ def test_nearer_views_count_more() -> None:
 # --- accuracy ---
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_relief_is_found(seed: int) -> None:
-    lf = relief(seed=seed)
-    found = score(lf, estimated(lf))
-    assert found.rmse < 0.03
-    assert found.undefined < 1
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_wide_disparities_are_found_by_shearing(seed: int) -> None:
-    lf = relief(seed=seed, disparity_range=WIDE)
-    found = score(lf, estimated(lf, WIDE))
-    assert found.rmse < 0.035
+@pytest.mark.parametrize(("bounds", "most"), [(RANGE, 0.03), (WIDE, 0.035)], ids=["narrow", "wide"])
+def test_relief_is_found(bounds: tuple[float, float], most: float) -> None:
+    lf = relief(disparity_range=bounds)
+    found = score(lf, estimated(lf, bounds))
+    assert found.rmse < most
     assert found.undefined < 1
 
 
@@ -131,15 +123,6 @@ def test_masked_pixels_of_the_row_do_not_count() -> None:
     np.testing.assert_array_equal(one.disparity, other.disparity)
 
 
-def test_estimator_remembers_nothing_of_the_views_before() -> None:
-    """Although it keeps the best so far of one line and shear after the other."""
-    lf, other = relief(), relief(seed=1)
-    estimator = LocalEstimator(lf.layout, RANGE, LocalConfig(), Device(WARP, "cpu"))
-    first, _, again = (run(estimator, views) for views in (lf.views, other.views, lf.views))
-    np.testing.assert_array_equal(first.disparity, again.disparity)
-    np.testing.assert_array_equal(first.coherence, again.coherence)
-
-
 # --- what is undefined, and the bounds ---
 
 
@@ -154,13 +137,6 @@ def test_a_higher_threshold_leaves_fewer_and_better_pixels() -> None:
     low, high = (score(lf, estimated(lf, coherence_threshold=threshold)) for threshold in (0.3, 0.97))
     assert high.undefined > low.undefined + 1
     assert high.rmse < low.rmse
-
-
-def test_estimates_lie_in_the_range() -> None:
-    local = estimated(relief(), (-0.5, 0.75))
-    defined = local.disparity[local.coherence > 0]
-    assert defined.size > 500
-    assert -0.5 <= defined.min() <= defined.max() <= 0.75
 
 
 # --- errors ---
@@ -277,25 +253,6 @@ def test_propagation_stays_within_what_was_defined(target: Any, rng: np.random.G
     other = Gappy(np.where(local.coherence > 0, local.disparity, np.float32(99)), local.coherence)
     a, b = (propagated(one, image, target, tolerance=1e-6).values for one in (local, other))
     np.testing.assert_array_equal(a, b)
-
-
-@pytest.mark.parametrize("solver", ["cg", "lbfgsb"])
-def test_propagation_calls_back(solver: str, rng: np.random.Generator) -> None:
-    propagation = propagation_of(rng.random((9, 8, 1), np.float32), REFERENCE, "cpu", solver=solver)
-    calls: list[int] = []
-    propagation.run(*gappy(rng, (9, 8)), lambda iteration, _: calls.append(iteration))
-    assert calls == list(range(1, propagation.report().iterations + 1))
-    assert calls
-
-
-def test_propagation_remembers_nothing_of_the_estimate_before(target: Any, rng: np.random.Generator) -> None:
-    kernels, device, size = target.kernels, target.device, (9, 8)
-    image, first, second = rng.random((*size, 1), np.float32), gappy(rng, size), gappy(rng, size)
-    propagation = propagation_of(image, kernels, device, tolerance=1e-6)
-    for local in (first, second):
-        propagation.run(kernels.field(local.disparity, device), kernels.field(local.coherence, device))
-    fresh = propagated(second, image, target, tolerance=1e-6)
-    np.testing.assert_allclose(kernels.numpy(propagation.filled), fresh.values, rtol=0, atol=1e-5)
 
 
 def test_propagation_says_how_much_it_was_told(target: Any, rng: np.random.Generator) -> None:

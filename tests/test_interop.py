@@ -381,46 +381,6 @@ def test_what_names_no_stream_is_copied_before_the_host_goes_on(gpu: Any, torch:
     np.testing.assert_array_equal(kernels.numpy(image), values)
 
 
-def test_arrays_of_jax_and_warp_go_in_and_out(
-    gpu: Any, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("XLA_PYTHON_CLIENT_PREALLOCATE", "false")  # else JAX takes most of the memory
-    jax = pytest.importorskip("jax", reason="JAX is not installed")
-    if jax.default_backend() != "gpu":
-        pytest.skip("JAX sees no GPU")
-    import warp
-
-    kernels, values, map_ = load("warp"), values_of("uint8", rng), rng.random((4, 5)).astype(np.float32)
-    image, field = kernels.zeros_image(SHAPE, "cuda:0", np.uint8), kernels.field(map_, "cuda:0")
-    for source in (jax.numpy.asarray(values), warp.array(values, dtype=warp.uint8, device="cuda:0")):
-        kernels.upload(np.zeros_like(values), image)
-        kernels.upload(source, image)
-        np.testing.assert_array_equal(kernels.numpy(image), values)
-    shared = kernels.shared(field)
-    np.testing.assert_array_equal(np.asarray(jax.dlpack.from_dlpack(shared)), map_)
-    np.testing.assert_array_equal(warp.from_dlpack(shared).numpy(), map_)
-
-
-def test_what_names_a_stream_need_not_have_dlpack(gpu: Any, torch: Any, rng: np.random.Generator) -> None:
-    """As arrays of Numba."""
-    kernels, values = load("warp"), values_of("float32", rng)
-    tensor, source = (to_gpu(torch, "torch", v) for v in (np.zeros_like(values), values))
-    image = kernels.zeros_image(SHAPE, "cuda:0", np.float32)
-    torch.cuda.synchronize()
-    stream = torch.cuda.Stream()
-
-    class OfOtherLibrary:
-        shape, dtype = SHAPE, np.dtype(np.float32)
-        __cuda_array_interface__ = tensor.__cuda_array_interface__ | {"version": 3, "stream": stream.cuda_stream}
-
-    with torch.cuda.stream(stream):
-        torch.cuda._sleep(DELAY)
-        tensor.copy_(source)
-        kernels.upload(OfOtherLibrary(), image)
-        tensor.zero_()
-    np.testing.assert_array_equal(kernels.numpy(image), values)
-
-
 def test_pinned_memory_may_be_changed_when_it_is_uploaded(gpu: Any, torch: Any, rng: np.random.Generator) -> None:
     kernels, values = load("warp"), values_of("uint8", rng)
     pinned = torch.from_numpy(values).pin_memory().numpy()
@@ -464,17 +424,6 @@ def test_maps_are_read_when_they_are_there(gpu: Any, torch: Any, library: str) -
         found.append(float(copy.min()))
     assert found[0] == 0.0
     assert found[1:] == [1.0] * (len(found) - 1)
-
-
-def test_shared_maps_say_what_they_are(gpu: Any) -> None:
-    kernels = load("warp")
-    shared = kernels.shared(kernels.zeros((4, 5), "cuda:0"))
-    interface = shared.__cuda_array_interface__
-    assert (interface["version"], interface["shape"], interface["typestr"]) == (3, (4, 5), "<f4")
-    assert interface["stream"] == gpu.stream.cuda_stream
-    assert not hasattr(shared, "__array_interface__")
-    with pytest.raises(TypeError, match=r"the map is on cuda:0; for a copy in NumPy ask for disparity\(\)"):
-        np.asarray(shared)
 
 
 def test_frames_of_torch_become_maps_of_torch(gpu: Any, torch: Any) -> None:

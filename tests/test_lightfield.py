@@ -252,12 +252,6 @@ def test_requests_that_cannot_be_met(light_field: LightField, words: str, ask: C
     assert words in str(error.value)
 
 
-def test_masks_choose_views() -> None:
-    lf = make("planes", grid=(3, 3), size=(8, 8))
-    cross = [lf.index_of(v, u) for u, v in lf.subset(lf.pattern("cross")).positions]
-    assert cross == [1, 3, 4, 5, 7]
-
-
 @pytest.mark.parametrize("which", [None, [0.9, 2.7], ["a"], np.ones(5, bool), [[0, 1], [2, 3]]])
 def test_what_chooses_no_views(which: Any) -> None:
     with pytest.raises(LightFieldError, match=r"indices, or a mask bool \[9\]"):

@@ -14,6 +14,7 @@ from lfgpu.io import read_map, write_hci, write_pfm
 from lfgpu.io.hci_submission import SCENES, read_region_masks, write_submission
 from lfgpu.metrics import Metrics, Sparsification, evaluate, evaluate_regions, other_unit, reliability, sparsification
 from lfgpu.scenes import make
+from tests.made import made_result
 
 NAN = float("nan")
 
@@ -263,14 +264,13 @@ def test_what_the_benchmark_does_not_take(
 
 
 def test_a_submission_from_what_depth_wrote(tmp_path: Path) -> None:
-    lf = make("boxes", grid=(1, 3), size=(512, 512))
-    write_hci(lf, tmp_path / "scene")
-    lfgpu("depth", tmp_path / "scene", "-o", tmp_path / "Cotton", "--preset=fast", "--disparity-range=-2,2")
+    (tmp_path / "Cotton").mkdir()
+    made_result(MAP, timings={"total": 1.5}).save(tmp_path / "Cotton" / "result.npz")
     said = " ".join(lfgpu("eval", tmp_path / "Cotton", "--hci-submission", tmp_path / "sent").split())
     assert "11 are missing: backgammon, dots" in said
     stored = read_map(tmp_path / "sent" / "disp_maps" / "cotton.pfm")
-    np.testing.assert_array_equal(stored, read_map(tmp_path / "Cotton" / "disparity.pfm"))
-    assert float((tmp_path / "sent" / "runtimes" / "cotton.txt").read_text()) > 0
+    np.testing.assert_array_equal(stored, MAP)
+    assert float((tmp_path / "sent" / "runtimes" / "cotton.txt").read_text()) == 1.5
     write_pfm(tmp_path / "dots.pfm", MAP)
     refused = CliRunner().invoke(app, ["eval", str(tmp_path / "dots.pfm"), "--hci-submission", str(tmp_path / "x")])
     assert refused.exit_code == 1

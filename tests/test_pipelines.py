@@ -38,7 +38,6 @@ class Scene(NamedTuple):
 SCENES = (
     Scene("relief"),
     Scene("boxes"),
-    Scene("textureless"),
     Scene("relief", (("grid", (3, 5)), ("size", (36, 32)), ("channels", 1), ("dtype", "uint16")), damaged=True),
 )
 

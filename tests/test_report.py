@@ -309,11 +309,6 @@ def test_a_report_with_what_the_judge_says(lf: LightField) -> None:
     assert "lfgpu check" in html(lf, result_of(lf)), "what says it where the report does not"
 
 
-def test_without_report_there_is_none(folder: Path, tmp_path: Path) -> None:
-    assert run("depth", folder / "one", "-o", tmp_path / "out", "--preset=fast", RANGE, "-q")[0] == 0
-    assert not (tmp_path / "out" / "report.html").exists()
-
-
 # --- comparisons ---
 
 

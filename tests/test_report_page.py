@@ -16,8 +16,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.reports.comparison import write_comparison
 from lfgpu.reports.report import Origin, write_report
-from lfgpu.viz.cards import Mark, cross_hair, scale_of, view_card
-from lfgpu.viz.pages import rendered
+from lfgpu.viz.cards import scale_of
 from tests.made import made_result
 
 SCREENS = {"wide": (1600, 1000), "laptop": (1366, 650), "phone": (390, 844)}
@@ -154,27 +153,6 @@ def test_a_click_enlarges_a_picture_with_its_scale(browser: Any, report: Path, t
     page.keyboard.press("Space")
     assert picture.bounding_box()["width"] == before
     page.context.close()
-
-
-def test_cross_hairs_are_seen_on_every_picture(browser: Any, rng: np.random.Generator) -> None:
-    size, below = (300, 400), [(0, 0, 0), (255, 255, 255), (128, 128, 128), (255, 45, 120), (90, 20, 60)]
-    drawn = [np.full((*size, 3), colour, np.uint8) for colour in below]
-    drawn.append(rng.integers(0, 256, (*size, 3), dtype=np.uint8))
-    hair = cross_hair(200, 150, (400, 300), "A")
-    cards = [view_card("A view", picture, marks=(mark,)) for picture in drawn for mark in (Mark("M0 0"), hair)]
-    page = browser.new_context(viewport={"width": 900, "height": 900}).new_page()
-    page.set_content(rendered("notebook.html", title="", cards=cards, facts=[], id="a"))
-    seen = [shot(element) for element in page.locator(".lf-picture").all()]
-    page.context.close()
-    assert len(seen) == 2 * len(drawn)
-    for without, marked in zip(seen[::2], seen[1::2], strict=True):
-        height, width = np.minimum(without.shape, marked.shape)[:2]
-        changed = contrast(marked[:height, :width], without[:height, :width])
-        y, x, unit = height // 2, width // 2, width / 400
-        arm = changed[y - 6 : y + 7, x + round(12 * unit) : x + round(20 * unit)]
-        assert (arm.max(axis=0) > 3).all(), "all along an arm something differs clearly from what is below"
-        near = round(2 * unit)
-        assert (changed[y - near : y + near, x - near : x + near] < 1.3).all(), "the point itself can be seen"
 
 
 @pytest.mark.parametrize(("screen", "columns"), [("wide", 4), ("phone", 1)])

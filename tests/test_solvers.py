@@ -112,16 +112,6 @@ def test_cg_calls_back_after_each_iteration(target: Any, rng: np.random.Generato
     assert len(calls) > 3
 
 
-def test_cg_remembers_nothing_of_the_system_before(target: Any, rng: np.random.Generator) -> None:
-    systems = DenseSystems(target)
-    first, second = ((positive_definite(rng, 24, 30.0), rng.normal(size=24)) for _ in range(2))
-    systems.solve(*first)
-    values, solution = systems.solve(*second)
-    fresh = DenseSystems(target).solve(*second)
-    np.testing.assert_allclose(values, fresh.values, rtol=0, atol=1e-6)
-    assert solution.trace == pytest.approx(fresh.solution.trace, rel=1e-3, abs=1e-7)
-
-
 # --- minimisation within bounds: known functions, by both solvers ---
 
 
@@ -295,15 +285,6 @@ def test_start_exactly_at_the_minimum_stays_there(
     assert_sentence(solution.status)
 
 
-def test_lbfgs_remembers_nothing_of_the_function_before(target: Any, rng: np.random.Generator) -> None:
-    first, second = (quadratic(positive_definite(rng, 24, 30.0), rng.uniform(-1, 1, 24)) for _ in range(2))
-    used, fresh = (Functions(BoundedLbfgs, target, (-2, 2), tolerance=1e-6) for _ in range(2))
-    used.minimize(first, np.zeros(SHAPE))
-    again, want = (functions.minimize(second, np.zeros(SHAPE)) for functions in (used, fresh))
-    np.testing.assert_allclose(again.values, want.values, rtol=0, atol=1e-5)
-    assert again.solution.trace == pytest.approx(want.solution.trace, rel=1e-3, abs=1e-6)
-
-
 RANGE, TIGHT = (-1.5, 1.5), (-0.5, 0.75)
 PARAMETERS = SynthesisConfig().with_values({"prior.window": 7, "refinement.smoothness": 0.2})
 SCENES = ("relief", "boxes")
@@ -374,40 +355,3 @@ def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
     assert found.badpix_03 == pytest.approx(want.badpix_03, abs=3.0)
     assert own.solution.converged
     assert scipy.solution.converged
-
-
-@pytest.mark.parametrize("scene", SCENES)
-def test_refinement_falls_within_bounds_that_hold_it_and_says_so(target: Any, scene: str) -> None:
-    case = problem(scene, target)
-    calls: list[tuple[int, float]] = []
-    values, solution = case.solved(BoundedLbfgs, TIGHT, lambda *call: calls.append(call))
-    assert np.float32(TIGHT[0]) == values.min()
-    assert values.max() == np.float32(TIGHT[1])
-    assert (np.diff(solution.trace) < 0).all()
-    assert calls == list(enumerate(solution.trace))[1:]
-    assert solution.evaluations > solution.iterations > 5
-    assert solution.trace[0] == pytest.approx(case.value(case.start.clip(*TIGHT)), rel=1e-6)
-    assert solution.trace[-1] == pytest.approx(case.value(values), rel=1e-6)
-    assert_sentence(solution.status)
-    assert f"after {solution.iterations} iterations: the energy no longer falls" in solution.status
-    scipy = case.solved(ScipyLbfgsb, TIGHT)
-    assert solution.trace[-1] <= 1.005 * scipy.solution.trace[-1]
-
-
-def test_refinement_stops_at_its_limit(target: Any) -> None:
-    case = problem("relief", target)
-    for most in (0, 1, 4):
-        values, solution = case.solved(BoundedLbfgs, max_iterations=most)
-        assert (solution.converged, solution.iterations) == (False, most)
-        assert ("limit of iterations" if most else "no iteration was allowed") in solution.status
-        if most == 0:
-            np.testing.assert_array_equal(values, case.start.clip(*np.float32(RANGE)))
-
-
-def test_refinement_from_its_own_minimum_gains_nothing(target: Any) -> None:
-    case = problem("relief", target)
-    minimum, first = case.solved(BoundedLbfgs, tolerance=1e-7, max_iterations=1000)
-    values, again = case._replace(start=minimum).solved(BoundedLbfgs)
-    assert again.iterations <= 10
-    assert first.trace[-1] * (1 - 1e-3) <= again.trace[-1] <= again.trace[0] <= first.trace[-1] * (1 + 1e-6)
-    assert np.abs(values - minimum).max() < 0.01

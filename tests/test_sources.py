@@ -253,15 +253,6 @@ def test_opencv_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
         open_source("opencv:0,1")
 
 
-def test_opencv_itself(videos: Path) -> None:
-    """It opens files as it opens cameras; its decoder may round colours otherwise."""
-    pytest.importorskip("cv2")
-    names = ",".join(str(videos / f"camera_{n}.mkv") for n in range(7, 13))
-    found = all_views(open_source(f"opencv:{names}", Options(grid=(2, 3))).frames)
-    want = np.array([lf.views for lf in film()], float)
-    assert np.abs(np.array(found, float) - want).mean() < 2
-
-
 # --- the command ---
 
 
@@ -395,10 +386,3 @@ def test_what_is_switched_on_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path:
     assert asked[:5] == [0, 1, 1, 1, 2]
     assert [folder.name for folder in tmp_path.iterdir()] == ["frame_000000"]
     assert stream.stats()["frames_done"] == len(film())
-
-
-def test_without_a_page_no_frame_is_kept() -> None:
-    with live.View(None, records=True) as page:
-        assert page.records()
-        assert not page.pauses()
-        assert page.kept(0, film()[0].views) is None

@@ -205,14 +205,6 @@ def test_frames_whose_pictures_were_not_taken_together_are_counted_and_said_once
     assert stream.stats()["frames_out_of_step"] == 2
 
 
-def test_without_a_tolerance_any_stamps_will_do() -> None:
-    with made() as stream:
-        result = stream.push(frames()[0].views, stamps=np.arange(15.0))
-        assert result.wait(LONG)
-    assert result.error is None
-    assert stream.warnings == ()
-
-
 @pytest.mark.parametrize(
     ("stamps", "words"),
     [

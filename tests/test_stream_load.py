@@ -6,7 +6,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
-from stream_runs import FRAMES, LONG, adds_up, alone, frames, held, made, until
+from stream_runs import FRAMES, LONG, adds_up, frames, held, made, until
 
 import lfgpu
 
@@ -115,15 +115,3 @@ def test_failing_block_drops_what_waits() -> None:
             stream._inbox.close(finish=False)
         raise KeyError
     assert all(result.done for result in results)
-
-
-def test_two_streams_at_once() -> None:
-    with made(prior=None) as one, made(config="accurate", prior=None) as other, ThreadPoolExecutor(2) as pool:
-
-        def maps(stream: lfgpu.DepthStream) -> list[np.ndarray]:
-            return [result.numpy() for result in [stream.push(lf.views) for lf in frames()[:3]]]
-
-        found = list(pool.map(maps, (one, other)))
-    for config, results in zip(("fast", "accurate"), found, strict=True):
-        for index, disparity in enumerate(results):
-            np.testing.assert_array_equal(disparity, alone(config, index))

@@ -1,8 +1,6 @@
 """The number of threads: who decides it, and that results do not depend on it."""
 
 import os
-import subprocess
-import sys
 import threading
 from typing import Any
 
@@ -53,40 +51,6 @@ def test_a_wrong_environment_is_named(wrong: str, monkeypatch: pytest.MonkeyPatc
     with pytest.raises(LfgpuError) as error:
         lfgpu.get_threads()
     assert str(error.value) == f"${VARIABLE}: the number of threads must be an integer >= 1, found {wrong!r}."
-
-
-ESTIMATE = """
-import hashlib, sys
-import lfgpu
-from lfgpu import scenes
-lf = scenes.make("boxes", grid=(3, 3), size=(56, 64))
-backend = sys.argv[1]
-few = {"propagation.max_iterations": 20, "refinement.max_iterations": 10}
-config = lfgpu.PRESETS["paper"].with_values(few)
-result = lfgpu.estimate_depth(lf, config=config, disparity_range=(-1.5, 1.5), backend=backend, device="cpu")
-maps = (*result.stages.values(), result.confidence)
-print(hashlib.sha256(b"".join(values.tobytes() for values in maps)).hexdigest())
-"""
-
-
-@pytest.mark.thorough
-def test_maps_have_the_same_bits_for_any_number_of_threads(other: Any) -> None:
-    """In processes of their own: a backend may keep the number that it started with."""
-    if other.device != "cpu":
-        pytest.skip("threads of the CPU only")
-    done = [
-        subprocess.run(
-            [sys.executable, "-c", ESTIMATE, other.backend],
-            env={**os.environ, VARIABLE: count},
-            capture_output=True,
-            text=True,
-        )
-        for count in ("1", "3")
-    ]
-    for process in done:
-        assert process.returncode == 0, process.stderr
-    assert done[0].stdout == done[1].stdout
-    assert done[0].stdout.strip()
 
 
 def test_what_waits_is_done_on_this_thread_while_others_work() -> None:

@@ -164,12 +164,6 @@ def test_the_command_says_where_to_look_before_all_is_read(tmp_path: Path, monke
     assert said.is_set()
 
 
-def test_without_viser_there_is_a_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "viser", None)
-    with pytest.raises(LightFieldError, match=r"pip install -e '\.\[viewer\]'"):
-        Viewer()
-
-
 # --- its address ---
 
 

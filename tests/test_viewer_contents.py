@@ -45,7 +45,7 @@ def test_paths_are_taken_in_any_order(tmp_path: Path) -> None:
     assert alone.map("map", "error") is None
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".png", ".tif", ".exr", ".ply"])
+@pytest.mark.parametrize("suffix", [".npz", ".tif"])
 def test_what_a_file_says_of_its_map_is_shown(suffix: str, tmp_path: Path) -> None:
     geometry = Geometry(50.0, 0.1, 2.0)
     values = DisparityMap(
@@ -61,15 +61,8 @@ def test_what_a_file_says_of_its_map_is_shown(suffix: str, tmp_path: Path) -> No
     depth, confidence = contents.map("map", "depth"), contents.map("map", "confidence")
     assert depth is not None
     np.testing.assert_allclose(depth, geometry.depth(values.disparity), rtol=1e-3)
-    assert (confidence is not None) == (suffix in (".npz", ".exr", ".ply"))
+    assert (confidence is not None) == (suffix == ".npz")
     assert confidence is None or (confidence == 0.5).all()
-
-
-def test_a_light_field_in_a_file_named_as_maps_are_is_one(tmp_path: Path) -> None:
-    lf = wall(1.0)
-    np.save(tmp_path / "views.npy", lf.views.reshape(3, 3, *SIZE, 1))
-    contents = opened(tmp_path / "views.npy", Contents())
-    np.testing.assert_array_equal(contents.lf.views, lf.views)
 
 
 def test_a_map_brings_the_reference_view_along(tmp_path: Path) -> None:

@@ -13,18 +13,8 @@ from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer import pictures
 from lfgpu.viewer.contents import Contents, Entry
-from lfgpu.viz.colours import LOOKS, painted
 
 WHOLE = (0, 0, pictures.TILE)  # column, row and side of the tile that is the whole of a small picture
-
-
-@pytest.mark.parametrize("kind", list(LOOKS))
-def test_undefined_pixels_are_grey_in_every_map(kind: str) -> None:
-    values = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
-    values[3, 4] = np.nan
-    colours = painted(values, LOOKS[kind].colours, (-1, 1))
-    assert len(set(colours[3, 4].tolist())) == 1
-    assert (colours[3, 4] == colours.reshape(-1, 3)).all(axis=1).sum() == 1
 
 
 @pytest.mark.parametrize(

@@ -148,14 +148,6 @@ def _vector(camera: Camera) -> list[float]:
     return list(map(float, Rotation.from_matrix(np.asarray(camera.rotation)).as_rotvec()))
 
 
-def _same(found: Camera, camera: Camera) -> None:
-    pixels = np.array([[10.0, 20.0], [300.0, 200.0]])
-    np.testing.assert_allclose(found.rays(pixels), camera.rays(pixels), atol=1e-9)
-    np.testing.assert_allclose(found.rotation, camera.rotation, atol=1e-9)
-    np.testing.assert_allclose(found.centre, camera.centre, atol=1e-9)
-    assert found.size == camera.size
-
-
 def test_models_of_google(tmp_path: Path) -> None:
     cameras = rig()
     entries = [

@@ -191,19 +191,6 @@ def test_four_maps_stand_beside_each_other_with_one_pointer(browser: Any, lf: Li
         page.close()
 
 
-def test_a_wipe_does_not_begin_on_the_cross_hairs(browser: Any, lf: LightField) -> None:
-    truth = lf.truth
-    with Viewer(lf, DisparityMap(truth.disparity + 0.5), port=0) as viewer:
-        page = Page(browser, viewer)
-        page.shown("map", "disparity")
-        page.choose("other", "ground truth")
-        picture = page.shown("map", " / ").astype(int)
-        left, _, scale = page.place("map")
-        white = (picture.reshape(len(picture), -1, 3) > 250).all(axis=2).mean(axis=0)
-        assert abs(np.argmax(white) - (left + 24.5 * scale)) > 20  # the chosen pixel is in the middle
-        page.close()
-
-
 @pytest.mark.parametrize(("width", "height"), [(1366, 650), (1600, 1000), (3840, 2160)])
 def test_views_and_maps_have_one_scale_and_dividers_move(browser: Any, viewer: Viewer, width: int, height: int) -> None:
     page = Page(browser, viewer, width=width, height=height)

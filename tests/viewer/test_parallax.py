@@ -96,15 +96,6 @@ def test_it_sways_by_a_key_and_stops_at_a_touch(page: Page) -> None:
     page.tab.keyboard.press("w")
 
 
-def test_the_focus_begins_at_the_chosen_pixel(page: Page, viewer: Viewer) -> None:
-    page.click("map", 36, 10)
-    page.tab.mouse.move(5, 5)
-    disparity = float(viewer.contents.entries["fast"].disparity[10, 36])
-    until(lambda: "36, 10" in page.readout(), "the pixel is chosen", page.tab)
-    page.tab.keyboard.press("o")
-    until(lambda: abs(float(page.tab.input_value("#focus")) - disparity) < 0.02, "the focus is there", page.tab)
-
-
 def test_dark_captures_are_shown_brighter(browser: Any, lf: LightField) -> None:
     dark = replace(lf, views=(lf.views / 8).astype(np.uint8), truth=None)
     with Viewer(dark, port=0) as viewer:

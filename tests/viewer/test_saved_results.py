@@ -200,31 +200,6 @@ def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(browser: Any,
         page.close()
 
 
-def test_pictures_are_laid_out_when_the_banner_of_loading_has_gone(browser: Any, files: Path) -> None:
-    """A banner that comes and goes between two frames is seen by no ResizeObserver: here none looks at all."""
-    deaf = """window.ResizeObserver = class extends ResizeObserver {
-        observe(element) { if (!["left", "right", "results"].includes(element.id)) super.observe(element); }
-    };"""
-    with Viewer.of([files / "boxes", files / "fast"], port=0, allow_open=True) as viewer:
-        page = Page(browser, viewer, script=deaf)
-
-        def shape() -> tuple[float, float]:
-            box = page.tab.locator("#view").bounding_box()
-            return box["width"], box["height"]
-
-        page.shown("view", "view")
-        before = None
-        for again in range(5):
-            count = len(page.asked)
-            viewer.open(files / "boxes")
-            until(lambda count=count: len(page.asked) > count, "pictures are asked for again", page.tab)  # type: ignore[misc]
-            page.shown("view", "view")
-            until(lambda: not page.tab.locator("#loading").is_visible(), "it is read", page.tab)
-            before = before or shape()  # without a result there is more room than with one
-            assert shape() == before, again
-        page.close()
-
-
 def test_a_light_field_of_fewer_views_replaces_one_of_more(browser: Any, files: Path, tmp_path: Path) -> None:
     """Also while a view is looked at that the new one has not."""
     write_hci(scenes.make("boxes", grid=(3, 3), size=(30, 44)), tmp_path / "small")

@@ -10,7 +10,6 @@ import pytest
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import load
 from lfgpu.viewer import Viewer
-from tests.browser import until
 from tests.viewer.page import Page
 
 
@@ -101,38 +100,6 @@ def test_dialogs_begin_where_people_type_and_help_fits(browser: Any, page: Page,
     assert phone.tab.locator("#help").is_visible()
     assert not phone.tab.locator(".keys").is_visible()  # it has none
     phone.close()
-
-
-def test_bars_as_light_as_the_page_have_an_outline(page: Page) -> None:
-    """Errors near zero are white, and most of them are near zero."""
-    page.choose("quantity", "error")
-    until(lambda: "error" in page.key("histogram"), "the distribution is drawn", page.tab)
-    picture = page.pixels("histogram").astype(int)
-    middle = slice(len(picture[0]) // 3, 2 * len(picture[0]) // 3)
-    assert (np.abs(picture[:, middle] - (102, 112, 128)).max(axis=2) < 30).any()
-
-
-def test_a_canvas_is_never_seen_empty_while_the_window_changes(browser: Any, viewer: Viewer) -> None:
-    page = Page(browser, viewer)
-    page.shown("map", "disparity")
-    page.shown("view", "view")
-    code = """() => {
-        window.empty = {};
-        for (const id of ["view", "map"]) {
-            const canvas = document.getElementById(id), before = canvas.width;
-            new ResizeObserver(() => { // after the one of the page, before anything is seen
-                if (canvas.width === before) return;
-                const { data } = canvas.getContext("2d").getImageData(canvas.width / 2, canvas.height / 4, 1, 1);
-                window.empty[id] = data[3] === 0;
-            }).observe(canvas);
-        }
-    }"""
-    page.tab.evaluate(code)
-    page.still()  # so that the first call, which all observers get, is over
-    page.tab.set_viewport_size({"width": 1100, "height": 800})
-    empty = until(lambda: len(found := page.tab.evaluate("window.empty")) == 2 and found, "both change", page.tab)
-    assert empty == {"view": False, "map": False}
-    page.close()
 
 
 def test_long_names_leave_room_for_the_scores(browser: Any, files: Path) -> None:
