@@ -302,7 +302,7 @@ def _permissions_count(tmp_path: Path) -> None:
 def _needs_data(request: pytest.FixtureRequest) -> None:
     marker = request.node.get_closest_marker("data")
     if marker is not None:
-        _folder(*marker.args)
+        real_data(*marker.args)
 
 
 @pytest.fixture
@@ -310,10 +310,11 @@ def data_folder(request: pytest.FixtureRequest) -> Path:
     """The folder that the test's `data` marker names."""
     marker = request.node.get_closest_marker("data")
     assert marker is not None, "data_folder needs @pytest.mark.data(folder)"
-    return _folder(*marker.args)
+    return real_data(*marker.args)
 
 
-def _folder(name: str) -> Path:
-    if not (DATA / name).is_dir():
+def real_data(name: str) -> Path:
+    """The file or folder of that name in the real light fields; skips where it is not there."""
+    if not (DATA / name).exists():
         pytest.skip(f"{DATA / name} is not there: set LFGPU_DATA to the folder of the real light fields")
     return DATA / name

@@ -71,28 +71,20 @@ def row_of(said: str, name: str) -> list[float]:
 
 
 @pytest.mark.parametrize("of", ["depth", "eval", "eval of a light field"])
-def test_scores_are_those_of_evaluate(of: str, solved: tuple[Path, Outcome], recorded: Path) -> None:
-    folder, outcome = solved
-    if of != "depth":
-        outcome = lfgpu("eval", folder, recorded if "field" in of else recorded / "gt_disp_lowres.pfm")
-    assert outcome.code == 0
-    truth = read_map(recorded / "gt_disp_lowres.pfm")
-    for name, values in read_result(folder / "result.npz").stages.items():
-        m = evaluate(values, truth)
-        expected = [m.mse_100, m.badpix_07, m.badpix_03, m.badpix_01, m.q25, m.rmse, m.undefined]
-        assert row_of(outcome.out, name) == pytest.approx(expected, abs=0.0051)
-    assert "border of 15" in outcome.out
-
-
-@pytest.mark.parametrize("of", ["depth", "eval", "eval of a light field"])
-def test_what_the_confidence_tells_is_that_of_sparsification(
+def test_scores_and_what_the_confidence_tells_are_those_of_the_package(
     of: str, solved: tuple[Path, Outcome], recorded: Path
 ) -> None:
     folder, outcome = solved
     if of != "depth":
         outcome = lfgpu("eval", folder, recorded if "field" in of else recorded / "gt_disp_lowres.pfm")
-    result = read_result(folder / "result.npz")
-    curve = sparsification(result.disparity, result.confidence, read_map(recorded / "gt_disp_lowres.pfm"))
+    assert outcome.code == 0
+    truth, result = read_map(recorded / "gt_disp_lowres.pfm"), read_result(folder / "result.npz")
+    for name, values in result.stages.items():
+        m = evaluate(values, truth)
+        expected = [m.mse_100, m.badpix_07, m.badpix_03, m.badpix_01, m.q25, m.rmse, m.undefined]
+        assert row_of(outcome.out, name) == pytest.approx(expected, abs=0.0051)
+    assert "border of 15" in outcome.out
+    curve = sparsification(result.disparity, result.confidence, truth)
     for name, shares in (("confidence", curve.bad), ("oracle", curve.oracle)):
         expected = [shares[list(np.round(curve.kept)).index(kept)] for kept in (100, 95, 90, 75, 50, 25)]
         assert row_of(outcome.out, name) == pytest.approx(expected, abs=0.0051)

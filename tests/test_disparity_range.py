@@ -1,12 +1,11 @@
 """The range of disparities that is found: that it holds the scene and little else, whatever the cameras and views."""
 
-import os
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import real_data
 from scipy.ndimage import gaussian_filter
 
 from lfgpu import estimate_depth, read, scenes
@@ -17,7 +16,6 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods import disparity_range
 
 KERNELS = load("warp")
-DATA = Path(os.environ.get("LFGPU_DATA") or Path(__file__).parents[2] / "shared" / "data")
 
 
 def find_disparity_range(lf: LightField) -> tuple[float, float]:
@@ -148,18 +146,14 @@ def test_evidence_is_what_agrees_from_both_sides() -> None:
     assert (count[2, 2], count[1, 1], count[4, 5], count[0, 0]) == (8, 7, 0, 0)
     np.testing.assert_allclose([mean[2, 2], mean[4, 5], mean[0, 0]], [2 + 0.4 / 9, 9.0, 0.0], rtol=1e-6)
     # What two views say by chance, no third one denies; the map has 98 % of its pixels from -0.8 to 0.65.
-    if not (DATA / "real" / "corners").is_dir():
-        pytest.skip(f"{DATA / 'real' / 'corners'} is not there: set LFGPU_DATA")
-    low, high = find_disparity_range(read(DATA / "real" / "corners"))
+    low, high = find_disparity_range(read(real_data("real/corners")))
     assert -1.3 < low < -0.8
     assert 0.65 < high < 1.1
 
 
 @pytest.mark.parametrize("name", ["population/A_bust", "population/C_fence", "population/E_clutter", "cotton", "vinyl"])
 def test_it_holds_rendered_scenes(name: str) -> None:
-    if not (DATA / name).is_dir():
-        pytest.skip(f"{DATA / name} is not there: set LFGPU_DATA")
-    spans(read(DATA / name), missing=0.002, more=0.0)
+    spans(read(real_data(name)), missing=0.002, more=0.0)
 
 
 @pytest.mark.parametrize(("sigma", "step", "count", "side"), [(0, 1, 5, 200), (0.7, 2, 3, 400)])

@@ -1,12 +1,12 @@
 """A glance and a screening of cameras, what commands say of them by themselves, and the confidence that follows."""
 
-import os
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from conftest import real_data
 from disturbed import truth, with_view
 from scipy import ndimage
 from typer.testing import CliRunner
@@ -31,9 +31,6 @@ def glance(lf: LightField) -> str | None:
     """The first finding of a look without a map."""
     found = look(lf, None, open_device("warp", "cpu"), budget="screen")
     return found.findings[0] if found is not None and found.findings else None
-
-
-DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
 
 @pytest.fixture(scope="module")
@@ -66,9 +63,7 @@ def test_nothing_is_seen_of_single_views_or_nothing(boxes: LightField, rng: np.r
 
 @pytest.mark.parametrize("name", ["lytro_2067", "stillLife_3x3", "population/C_fence"])
 def test_real_cameras_raise_no_alarm(name: str) -> None:
-    if not (DATA / name).exists():
-        pytest.skip(f"{DATA / name} is not there")
-    assert glance(lfgpu.read(DATA / name)) is None
+    assert glance(lfgpu.read(real_data(name))) is None
 
 
 def test_the_part_that_is_looked_at_is_bounded_and_keeps_its_places(boxes: LightField) -> None:

@@ -2,13 +2,13 @@
 
 import copy
 import json
-import os
 from pathlib import Path
 from typing import Any
 
 import lytro_samples
 import numpy as np
 import pytest
+from conftest import real_data
 from fields import SAMPLES, scene
 from lenslet_samples import container, metadata, packed
 from samples import refusal
@@ -18,7 +18,6 @@ from lfgpu.io.lytro import inside
 from lfgpu.io.lytro.container import open_container
 from lfgpu.io.lytro.contents import read_contents
 
-DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
 IMAGES = np.random.default_rng(0).integers(0, 256, (3, 16, 24, 3), np.uint8)
 
 
@@ -87,13 +86,6 @@ def test_a_raw_picture_goes_before_what_was_computed_from_it(tmp_path: Path) -> 
 # --- real files ---
 
 
-def real(name: str) -> Path:
-    file = DATA / "real" / "lytro" / name
-    if not file.is_file():
-        pytest.skip(f"{file} is not there: set LFGPU_DATA to the folder of the real light fields")
-    return file
-
-
 @pytest.mark.parametrize(
     ("name", "contents"),
     [
@@ -105,7 +97,7 @@ def real(name: str) -> Path:
     ],
 )
 def test_real_containers_without_views(name: str, contents: str) -> None:
-    file = real(name)
+    file = real_data(f"real/lytro/{name}")
     assert recognise(file)[0].name == "lytro"
     said = inside(file)
     assert dict(said.facts)["contents"] == contents
@@ -115,12 +107,12 @@ def test_real_containers_without_views(name: str, contents: str) -> None:
 
 def test_real_views_run_against_lytros_depth() -> None:
     pytest.importorskip("imageio_ffmpeg")
-    found = read(real("IMG_0002-stk.lfp"))
+    found = read(real_data("real/lytro/IMG_0002-stk.lfp"))
     assert found.views.shape == (37, 1080, 1080, 3)
     assert found.offsets[found.reference_index].tolist() == [0, 0]
     np.testing.assert_allclose(np.sort(np.hypot(*found.offsets.T))[:8], [0, 1, 1, 1, 1, 1, 1, np.sqrt(3)], atol=1e-6)
     assert parallax.axes_agree(found) is True
-    container = open_container(real("IMG_0002-dm.lfp"))
+    container = open_container(real_data("real/lytro/IMG_0002-dm.lfp"))
     name = next(name for name, section in container.sections.items() if section.length == 4 * 330 * 330)
     table = np.frombuffer(container.data(name), "<f4").reshape(330, 330)  # λ, larger is farther
     for axis in (0, 1):

@@ -1,9 +1,7 @@
 """Inputs that nobody thought of: readers give a light field or one sentence, and what is written is read back."""
 
 import io
-import json
 import os
-import re
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -93,25 +91,6 @@ def test_any_bytes_are_refused_as_any_format(start: bytes, rest: bytes, suffix: 
 
 
 NAMES = st.text(st.characters(exclude_characters="/\0", exclude_categories=["Cs"]), min_size=1, max_size=12)
-PARTS = st.sampled_from(
-    ["view_", "out_", "input_Cam", "a b ", "ü", "-", "_", ".", "0", "00", "7", "12", "3.5", "-1.25"]
-)
-
-
-@EASY
-@given(st.lists(st.lists(PARTS, min_size=1, max_size=7).map("".join), min_size=1, max_size=9), st.booleans())
-def test_any_names_of_images(names: list[str], allow_missing: bool) -> None:
-    with folder() as place:
-        for index, name in enumerate(names):
-            Image.fromarray(np.full((3, 4), index, np.uint8)).save(place / f"{name}.png", format="PNG")
-        found = read_or_refused(place, allow_missing=allow_missing)
-        for entry in FORMATS:
-            if entry.name != "video":
-                read_or_refused(place, format=entry.name)
-        if found is not None:
-            assert len(found.files) == len(found.views) <= len(set(names))
-            for file, view in zip(found.files, found.views, strict=True):
-                np.testing.assert_array_equal(read_image(file)[0], view)
 
 
 @EASY
@@ -128,65 +107,6 @@ def test_any_numpy_array(array: NDArray[Any], grid: tuple[int, int] | None) -> N
                 found.views.ravel(),
                 array.reshape(*found.views.shape[:3], -1)[..., : found.channels].astype(found.views.dtype).ravel(),
             )
-
-
-@EASY
-@given(
-    st.binary(max_size=120).map(lambda tail: b"Pf\n" + tail)
-    | st.from_regex(rb"P[fF]\s\d+\s\d+\s-?\d+\n.{0,40}", fullmatch=True)
-    | st.binary(min_size=24, max_size=25).map(lambda pixels: b"Pf\n3 2\n-1\n" + pixels)
-)
-def test_any_pfm(content: bytes) -> None:
-    with folder() as place:
-        (place / "a.pfm").write_bytes(content)
-        with suppress(LightFieldError):
-            found = read_map(place / "a.pfm")
-            header = re.match(rb"P[fF]\s+(\d+)\s+(\d+)\s", content)
-            assert found.shape == (int(header[2]), int(header[1]))
-
-
-@EASY
-@given(st.text(max_size=60), st.sampled_from(["num_cams_x", "baseline_mm", "focal_length_mm", "focus_distance_m"]))
-def test_any_value_in_parameters(value: str, key: str) -> None:
-    with folder() as place:
-        for index in range(2):
-            Image.fromarray(np.full((3, 4), index, np.uint8)).save(place / f"input_Cam{index:03d}.png")
-        text = (
-            "[intrinsics]\nfocal_length_mm = 1\nsensor_size_mm = 1\n[extrinsics]\nnum_cams_x = 2\nnum_cams_y = 1\n"
-            "baseline_mm = 1\nfocus_distance_m = 1\n"
-        )
-        (place / "parameters.cfg").write_text(text.replace(f"{key} = ", f"{key} = {value} "), encoding="utf-8")
-        found = read_or_refused(place)
-        assert found is None or np.unique(found.views).tolist() == [0, 1]  # both views, or none
-
-
-JSON = st.recursive(
-    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5) | st.sampled_from(["a.png", "b.png"]),
-    lambda inner: (
-        st.lists(inner, max_size=3)
-        | st.dictionaries(
-            st.sampled_from(
-                ["views", "file", "position", "source", "path", "format", "geometry", "grid", "truth", "flip"]
-            ),
-            inner,
-            max_size=4,
-        )
-    ),
-    max_leaves=12,
-)
-
-
-@EASY
-@given(JSON)
-def test_any_description(value: Any) -> None:
-    with folder() as place:
-        for name in ("a.png", "b.png"):
-            Image.fromarray(np.full((3, 4), ord(name[0]), np.uint8)).save(place / name)
-        views = [{"file": "a.png", "position": [0, 0]}, {"file": "b.png", "position": [1, 0]}]
-        table = {"views": views, **value} if isinstance(value, dict) else value
-        (place / "a.json").write_text(json.dumps(table))
-        found = read_or_refused(place / "a.json")
-        assert found is None or set(np.unique(found.views)) <= {ord("a"), ord("b")}  # nothing but what was there
 
 
 # --- round trips ---

@@ -1,11 +1,10 @@
 """Real light fields of several cameras and data sets."""
 
-import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import real_data
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
@@ -13,27 +12,18 @@ from lfgpu.io import parallax, read, read_map
 from lfgpu.io.flips import flipped
 from lfgpu.io.images import read_image
 
-DATA = Path(os.environ.get("LFGPU_DATA", Path(__file__).parents[3] / "shared" / "data"))
-
-
-def real(name: str) -> Path:
-    folder = DATA / name
-    if not folder.is_dir():
-        pytest.skip(f"{folder} is not there: set LFGPU_DATA to the folder of the real light fields")
-    return folder
-
 
 def test_real_cotton() -> None:
-    light_field = read(real("cotton"))
+    light_field = read(real_data("cotton"))
     assert light_field.views.shape == (81, 512, 512, 3)
     assert (light_field.grid_shape, light_field.reference, light_field.notes) == ((9, 9), 40, ())
     truth, geometry = light_field.reference_truth(), light_field.geometry
-    depth = read_map(real("cotton") / "gt_depth_lowres.pfm")
+    depth = read_map(real_data("cotton") / "gt_depth_lowres.pfm")
     assert np.median(np.abs(geometry.depth(truth.disparity) - depth)) < 1e-3
 
 
 def test_real_kitchen() -> None:
-    light_field = read(real("kitchen"))
+    light_field = read(real_data("kitchen"))
     assert light_field.views.shape == (34, 512, 512, 3)  # a star of 33, and view 021
     assert light_field.notes == ("34 of 81 views of the 9 x 9 grid are there.",)
     assert light_field.positions[light_field.reference_index].tolist() == [4, 4]
@@ -56,7 +46,7 @@ def test_real_kitchen() -> None:
     ],
 )
 def test_real_named_views(name: str, shape: tuple[int, ...], grid_shape: tuple[int, int], notes: list[str]) -> None:
-    light_field = read(real(name), format="named-views")
+    light_field = read(real_data(name), format="named-views")
     assert (light_field.views.shape, light_field.grid_shape) == (shape, grid_shape)
     assert light_field.reference == shape[0] // 2
     assert len(light_field.notes) == len(notes)
@@ -65,7 +55,7 @@ def test_real_named_views(name: str, shape: tuple[int, ...], grid_shape: tuple[i
 
 def test_real_views_move_as_their_truth_says() -> None:
     """The sign convention on real data: the view to the right, read at x - d, looks like the centre view."""
-    light_field = read(real("cotton"))
+    light_field = read(real_data("cotton"))
     truth = light_field.reference_truth()
     centre, right, below = (light_field.view(*place)[..., 1].astype(float) for place in ((4, 4), (4, 8), (8, 4)))
     y, x = np.mgrid[20:492, 20:492]
@@ -101,7 +91,7 @@ def mismatches(light_field: LightField, disparity: NDArray[Any], step: int = 1) 
 
 
 def test_real_export_of_an_old_scene() -> None:
-    folder = real("stillLife_3x3")
+    folder = real_data("stillLife_3x3")
     light_field = read(folder)
     truth, published = light_field.reference_truth(), read_map(folder / "gt_disp_3x3.pfm")
     assert np.abs(truth.disparity - published).max() < 1e-4
@@ -113,7 +103,7 @@ def test_real_export_of_an_old_scene() -> None:
 
 def test_real_stanford_names() -> None:
     """The floor before the knights is nearer than the wall behind them, in the directions that the names say."""
-    light_field = read(real("real/stanford_knights"))
+    light_field = read(real_data("real/stanford_knights"))
     assert light_field.views.shape == (289, 256, 256, 3)
     assert light_field.notes == (
         "One view step is 8.70886 in the unit of the names, the median distance of neighbours.",
@@ -129,12 +119,12 @@ def test_real_stanford_names() -> None:
 
 
 def test_real_row_of_cameras() -> None:
-    folder = real("mansion") / "images"
+    folder = real_data("mansion") / "images"
     light_field = read(folder)
     assert (light_field.views.shape, light_field.grid_shape) == ((51, 200, 300, 3), (1, 51))
     measured = parallax.measured(light_field.subset(range(20, 31)), axis=0)
     assert measured is not None
-    published, _ = read_image(real("mansion") / "mansion_depth" / "mansion_depth_0050.png")
+    published, _ = read_image(real_data("mansion") / "mansion_depth" / "mansion_depth_0050.png")
     blocks = published[..., 0].astype(float).reshape(50, 4, 75, 4).mean(axis=(1, 3))
     # The frames are not shifted: all disparities are positive, and brighter, nearer places have larger ones.
     disparity, weight = measured
@@ -145,6 +135,6 @@ def test_real_row_of_cameras() -> None:
 
 @pytest.mark.parametrize("name", ["cotton", "kitchen", "stillLife_3x3", "lytro_2067", "tao2013_IMG_1", "tao2013_IMG_4"])
 def test_real_axes_run_alike(name: str) -> None:
-    light_field = read(real(name))
+    light_field = read(real_data(name))
     assert parallax.axes_agree(light_field) is True
     assert parallax.axes_agree(flipped(light_field, "v")) is False
