@@ -184,21 +184,6 @@ def test_what_changed_is_found() -> None:
     assert found.compared == 0
 
 
-@pytest.mark.parametrize(
-    ("new", "why"),
-    [
-        (record_of(1.05), "below the threshold"),
-        (record_of(1.2, half_spread=0.25), "within the spread"),
-        (record_of(error=1.3e-6), "the error is as large"),
-    ],
-)
-def test_chance_is_not_a_finding(new: Record, why: str) -> None:
-    found = compare(run_of(record_of()), run_of(new), 0.1)
-    assert not found.fails, why
-    assert not found.faster
-    assert not found.only
-
-
 def test_the_comparison_exits_with_what_it_found(tmp_path: Path) -> None:
     old, new = tmp_path / "old.json", tmp_path / "new.json"
     results.save(run_of(record_of()), old)

@@ -71,9 +71,7 @@ def row_of(said: str, name: str) -> list[float]:
 
 
 @pytest.mark.parametrize("of", ["depth", "eval", "eval of a light field"])
-def test_scores_and_what_the_confidence_tells_are_those_of_the_package(
-    of: str, solved: tuple[Path, Outcome], recorded: Path
-) -> None:
+def test_scores_and_confidence_are_those_of_the_package(of: str, solved: tuple[Path, Outcome], recorded: Path) -> None:
     folder, outcome = solved
     if of != "depth":
         outcome = lfgpu("eval", folder, recorded if "field" in of else recorded / "gt_disp_lowres.pfm")

@@ -1,6 +1,5 @@
 """The first estimate and its propagation: filters, accuracy from any view, normal equations written out, refusals."""
 
-import itertools
 from dataclasses import replace
 from functools import cache
 from typing import Any, NamedTuple
@@ -169,7 +168,6 @@ def test_cameras_stand_in_steps_of_their_own() -> None:
     assert np.allclose(2 * np.array(find_disparity_range(halved, device)), find_disparity_range(lf, device))
 
 
-REFERENCE = load("reference")
 PRIOR = PriorConfig(window=5, sigma_color=0.3, sigma_gradient=0.3)
 
 
@@ -196,36 +194,6 @@ def propagated(local: Gappy, image: np.ndarray, target: Any, **options: Any) -> 
     propagation = propagation_of(image, kernels, device, **options)
     propagation.run(kernels.field(local.disparity, device), kernels.field(local.coherence, device))
     return Found(kernels.numpy(propagation.filled), propagation.report())
-
-
-def energy_minimum(local: Gappy, weights: np.ndarray) -> np.ndarray:
-    """argmin_m Σ_p Σ_q w_pq [(m_p - m_q)² + C_p (m0_p - m_q)²], term by term, q = p included."""
-    n = local.disparity.size
-    c, m0 = local.coherence.ravel().astype(float), local.disparity.ravel().astype(float)
-    matrix, right = np.zeros((n, n)), np.zeros(n)
-    for p, q in itertools.product(range(n), repeat=2):
-        w = weights[p, q]
-        for a, b, sign in ((p, p, 1), (q, q, 1), (p, q, -1), (q, p, -1)):
-            matrix[a, b] += sign * w
-        matrix[q, q] += w * c[p]
-        right[q] += w * c[p] * m0[p]
-    return np.linalg.solve(matrix, right).reshape(local.disparity.shape)
-
-
-def test_propagation_is_the_minimum_of_its_energy(target: Any, rng: np.random.Generator) -> None:
-    size = (6, 7)
-    image, local = rng.random((*size, 3), np.float32), gappy(rng, size)
-    prior = NonLocalMeans(image.shape, PRIOR, Device(REFERENCE, "cpu"))
-    prior.load(REFERENCE.image(image, "cpu"))
-    columns = []
-    for unit in np.eye(size[0] * size[1]):
-        sums = np.empty(size)
-        prior.neighbors(unit.reshape(size), sums)
-        columns.append(sums.ravel())
-    want = energy_minimum(local, np.stack(columns, axis=1))
-    values, solution = propagated(local, image, target, tolerance=1e-6)
-    np.testing.assert_allclose(values, want, rtol=0, atol=2e-5)
-    assert solution.converged
 
 
 def test_propagation_by_cg_and_by_lbfgsb_is_the_same(target: Any, rng: np.random.Generator) -> None:

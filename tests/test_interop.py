@@ -358,29 +358,6 @@ def test_arrays_may_be_changed_when_they_are_uploaded(
     np.testing.assert_array_equal(kernels.numpy(image), values if ordered else 0)
 
 
-def test_what_names_no_stream_is_copied_before_the_host_goes_on(gpu: Any, torch: Any, rng: np.random.Generator) -> None:
-    """As are arrays of JAX, or of a version of the CUDA array interface that has no streams."""
-    kernels, values = load("warp"), values_of("uint8", rng)
-    tensor = to_gpu(torch, "torch", np.zeros_like(values))
-
-    class OfOtherLibrary:
-        shape, dtype = SHAPE, np.dtype(np.uint8)
-
-        @property
-        def __cuda_array_interface__(self) -> Any:
-            return {**tensor.__cuda_array_interface__, "version": 2}
-
-    source = to_gpu(torch, "torch", values)
-    image = kernels.zeros_image(SHAPE, "cuda:0", np.uint8)
-    torch.cuda.synchronize()
-    with torch.cuda.stream(torch.cuda.Stream()):
-        torch.cuda._sleep(DELAY)
-        tensor.copy_(source)
-        kernels.upload(OfOtherLibrary(), image)
-        tensor.zero_()
-    np.testing.assert_array_equal(kernels.numpy(image), values)
-
-
 def test_pinned_memory_may_be_changed_when_it_is_uploaded(gpu: Any, torch: Any, rng: np.random.Generator) -> None:
     kernels, values = load("warp"), values_of("uint8", rng)
     pinned = torch.from_numpy(values).pin_memory().numpy()

@@ -169,21 +169,6 @@ def test_what_the_curve_counts(rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(curve.bad, curve_of(disparity[scored], confidence[scored]).bad)
 
 
-@pytest.mark.parametrize(
-    ("confidence", "options", "words"),
-    [
-        (np.zeros((4, 5)), {}, ["confidence", "(4, 4)", "(4, 5)"]),
-        (np.zeros((4, 4)), {"threshold": -0.1}, ["threshold", "-0.1"]),
-        (np.zeros((4, 4)), {"threshold": NAN}, ["threshold", "nan"]),
-        (np.zeros((4, 4)), {"mask": np.zeros((4, 4), bool)}, ["nothing to score"]),
-    ],
-)
-def test_bad_input_of_the_curve_is_said_so(confidence: object, options: dict[str, object], words: list[str]) -> None:
-    with pytest.raises(LightFieldError) as error:
-        sparsification(np.zeros((4, 4)), confidence, np.zeros((4, 4)), border=0, **options)  # type: ignore[arg-type]
-    assert all(word in str(error.value) for word in words)
-
-
 # --- reliability ---
 
 

@@ -15,9 +15,7 @@ from benchmarks import (
     like,
     misalignment,
     moving,
-    paper,
     rendering,
-    results,
     scaling,
     soak,
     tiles,
@@ -28,14 +26,12 @@ from benchmarks.clock import spread
 from benchmarks.errors import BenchmarkError
 from benchmarks.options import collected
 from benchmarks.results import Record, Run
-from lfgpu import estimate_depth, evaluate, scenes
+from lfgpu import scenes
 from lfgpu.calibration import Misalignment, disturb
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_hci
 from lfgpu.pipelines.stream import DepthStream
-from tests import printed
-from tests.io.fields import SAMPLES, scene
 
 pytestmark = pytest.mark.thorough
 
@@ -193,31 +189,6 @@ def test_rendered_views_win_on_a_scene_and_the_table_says_so(
     assert f"**{row.whole['rendered']:.1f} / {row.inner['rendered']:.1f}**" in rendering.table(rows).markdown
     with pytest.raises(BenchmarkError, match="LFGPU_DATA"):
         list(rendering.run(["nothing"], tmp_path, preset="fast", every=1))
-
-
-@pytest.fixture
-def data(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A folder with one scene of the old HCI set; the equations are not what is tested."""
-    monkeypatch.setattr(printed, "errors", lambda *_: {"an equation": 1e-7})
-    folder = tmp_path / "data" / "buddha"
-    folder.mkdir(parents=True)
-    SAMPLES["hci-hdf5"].write(scene(), folder)
-    return folder.parent
-
-
-def test_a_scene_that_is_there_is_measured_and_the_others_are_skipped_with_a_word(data: Path, tmp_path: Path) -> None:
-    pytest.importorskip("h5py")
-    arguments = ["--data", str(data), "--out", str(tmp_path / "paper.json"), "--presets", "fast"]
-    names = "buddha-9x9x768x768,horses-9x9x768x768"
-    outcome = CliRunner().invoke(app, ["paper", "--experiments", names, *arguments])
-    assert outcome.exit_code == 0, outcome.output
-    assert f"horses-9x9x768x768: skipped: {data / 'horses'} does not exist" in outcome.stderr.replace("\n", "")
-    found = [r for r in results.load(tmp_path / "paper.json").records if r.kind == paper.KIND]
-    assert [(r.case, r.name, r.failed) for r in found] == [("buddha-9x9x768x768", "fast", "")]
-    lf = scene()
-    want = evaluate(estimate_depth(lf, config="fast").disparity, lf.truth.disparity).rmse
-    assert found[0].errors["rmse boundaries"] == pytest.approx(want, rel=1e-3)
-    assert "mean of" not in outcome.stdout
 
 
 @pytest.fixture(scope="module")

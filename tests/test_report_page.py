@@ -13,7 +13,6 @@ from PIL import Image
 from lfgpu import explain, scenes
 from lfgpu.comparison import Scene, table
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
 from lfgpu.reports.comparison import write_comparison
 from lfgpu.reports.report import Origin, write_report
 from lfgpu.viz.cards import scale_of
@@ -121,21 +120,6 @@ def test_everything_is_seen_on_every_screen(browser: Any, report: Path, screen: 
     page.context.close()
 
 
-def test_scales_are_drawn_with_arrows(browser: Any, report: Path) -> None:
-    page = opened(browser, report)
-    card = page.locator("figure", has_text="Ground truth")
-    stops = scale_of("disparity", np.zeros((2, 2), np.float32), (0, 1)).stops
-    assert bars(shot(card.locator(".lf-bar")), stops) >= 10
-    card = page.locator("figure", has=page.get_by_text("Disparity", exact=True))
-    tips = card.locator(".lf-tip")
-    low, high = (shot(tips.nth(n)) for n in (0, 1))
-    assert (np.abs(low[6, -4] - [68, 1, 84]) < 12).all(), "some values lie below the scale"
-    assert (np.abs(high[6, 3] - [253, 231, 37]) < 12).all(), "and some above it"
-    assert card.locator(".lf-tip path").count() == 2
-    assert page.locator("figure", has_text="Confidence").first.locator(".lf-tip path").count() == 0
-    page.context.close()
-
-
 @pytest.mark.parametrize("title", ["Disparity", "Reference view", "A: row"])
 def test_a_click_enlarges_a_picture_with_its_scale(browser: Any, report: Path, title: str) -> None:
     page = opened(browser, report)
@@ -168,23 +152,6 @@ def test_methods_stand_side_by_side(browser: Any, lf: LightField, tmp_path: Path
     assert len(boxes) == 2 * 4
     assert len({round(box["x"]) for box in boxes}) == columns
     assert all(box["x"] + box["width"] <= width for box in boxes)
-    page.context.close()
-
-
-@pytest.mark.parametrize(("ink", "paper"), [("#ddd", "#111"), ("#222", "#fff")])
-def test_notebooks_show_results_on_dark_pages_too(browser: Any, lf: LightField, ink: str, paper: str) -> None:
-    page = browser.new_context(viewport={"width": 900, "height": 700}).new_page()
-    shown = DisparityMap(lf.truth.disparity, name="a map")
-    page.set_content(f'<body style="background: {paper}; color: {ink}">{shown._repr_html_()}{lf._repr_html_()}</body>')
-    background = shot(page)[-1, -1]
-    for text in ("b", "figcaption", ".lf-bar span", ".lf-note", "th", "td"):
-        element = page.locator(text).first
-        element.evaluate("e => e.style.fontSize = '40px'")  # some pixels are of the text's colour, whatever the font
-        assert contrast(shot(element), background).max() > 4, text
-        element.evaluate("e => e.style.fontSize = ''")
-    stops = scale_of("disparity", np.zeros((2, 2), np.float32), (0, 1)).stops
-    assert bars(shot(page.locator(".lf-bar").first), stops) >= 8
-    assert page.locator(".lf-picture").count() == 4
     page.context.close()
 
 

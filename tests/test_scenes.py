@@ -11,7 +11,6 @@ from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.scenes import synthesis
-from lfgpu.scenes.catalogue import SCENES, Stage
 from lfgpu.scenes.lamps import Lamps, lit
 from lfgpu.scenes.objects import Box, Disc, Ellipsoid, Frustum, Quad, Rays, Relief, Wall
 from lfgpu.scenes.render import Frame, Thing
@@ -345,15 +344,6 @@ def test_bars_are_thin_and_textureless_has_regions_of_one_colour() -> None:
         assert len(colours) > 5000  # and the wall has texture
 
 
-@pytest.mark.parametrize("slope_of_views", [1, 4])
-def test_relief_keeps_its_bound_at_any_spacing(slope_of_views: int) -> None:
-    frame = Frame(64, 64, -1.5, 1.5)
-    offset = (float(slope_of_views), float(slope_of_views))
-    (thing,) = SCENES["relief"](Stage(frame, offset, np.random.default_rng(0)))
-    assert isinstance(thing.shape, Relief)
-    assert thing.shape.steepness(frame.slope(offset)) <= 0.45 + 1e-9
-
-
 # --- time ---
 
 
@@ -436,12 +426,3 @@ def test_bad_arguments_are_named_in_one_sentence(arguments: dict[str, Any], sent
     with pytest.raises(LightFieldError, match=sentence) as error:
         scenes.make(**{"name": "boxes", "grid": (3, 3), "size": (32, 32)} | arguments)
     assert str(error.value).endswith(".")
-
-
-def test_bad_arguments_of_the_others() -> None:
-    with pytest.raises(LightFieldError, match="frames must be a whole number >= 1, found 0"):
-        scenes.sequence(frames=0)
-    with pytest.raises(LightFieldError, match="needs a scene that moves"):
-        scenes.sequence("boxes", frames=2, size=(32, 32), grid=(1, 2))
-    with pytest.raises(LightFieldError, match=r"row 1, column 0\) does not exist"):
-        scenes.true_disparity("boxes", 1, 0, grid=(1, 2), size=(32, 32))

@@ -170,36 +170,6 @@ def test_films_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_pa
     page.close()
 
 
-def test_a_map_of_another_folder_joins_and_the_page_stays_as_it_is(browser: Any, files: Path) -> None:
-    """Of its own viewer: how large the map is depends on how many maps the table has below it."""
-    names = ("left", "right", "view", "map")
-    with Viewer.of([files / "boxes", files / "fast"], port=0) as viewer:
-        page = Page(browser, viewer)
-
-        def boxes() -> list[Any]:
-            return [page.tab.locator(f"#{name}").bounding_box() for name in names]
-
-        page.shown("map", "disparity")
-        until(lambda: page.tab.locator("#scores").is_visible(), "the table is there", page.tab)
-        page.still()
-        before = boxes()
-        page.tab.click("#open-files")
-        page.tab.fill("#path", str(files / "boxes"))
-        page.tab.press("#path", "Enter")
-        until(lambda: page.tab.input_value("#result") == "ground truth", "the light field is alone", page.tab)
-        page.shown("map", "disparity")
-        title = page.tab.inner_text("#right-title")
-        assert "ground truth" in title
-        assert "no estimate yet" in title
-        assert page.tab.inner_text("#map-label") == "ground truth"
-        until(lambda: boxes()[:2] == before[:2], "the parts are as wide as before", page.tab)
-        viewer.open(files / "fast")
-        page.shown("map", "disparity")
-        until(lambda: page.tab.input_value("#result") == "fast", "the map is chosen", page.tab)
-        until(lambda: boxes() == before, f"everything is as large as before, {before}", page.tab)
-        page.close()
-
-
 def test_a_light_field_of_fewer_views_replaces_one_of_more(browser: Any, files: Path, tmp_path: Path) -> None:
     """Also while a view is looked at that the new one has not."""
     write_hci(scenes.make("boxes", grid=(3, 3), size=(30, 44)), tmp_path / "small")

@@ -1,13 +1,11 @@
 """The page on dark and light systems and on phones, each tab with its own settings, and its help."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lfgpu.data.lightfield import LightField
 from lfgpu.io import load
 from lfgpu.viewer import Viewer
 from tests.viewer.page import Page
@@ -65,26 +63,6 @@ def test_help_and_what_cannot_be_opened(page: Page) -> None:
     page.tab.fill("#path", "/no/such/place")
     page.tab.press("#path", "Enter")
     page.says("/no/such/place does not exist")
-
-
-def test_a_phone_has_room_for_what_a_stream_says(browser: Any, lf: LightField) -> None:
-    """No button of the header is cut, and the name of the light field is there."""
-    named = replace(lf, name="a light field with a name that is longer than a phone is wide")
-    with Viewer(named, port=0) as viewer:
-        viewer.offer(pause=print, record=print)
-        viewer.switch("record", True)
-        viewer.update(np.zeros(lf.size, np.float32), rate=112.5, latency=1.234, dropped=12345)
-        phone = Page(browser, viewer, width=390, height=844, has_touch=True, is_mobile=True)
-        phone.says("recording · 112.5 frames/s · 1234 ms latency · 12345 dropped", "#stream")
-        for name in ("open-files", "save-files", "open-help", "pause", "record", "stream-facts", "name"):
-            box = phone.tab.locator(f"#{name}").bounding_box()
-            assert box["x"] >= 0, name
-            assert box["x"] + box["width"] <= 390, name
-            assert box["width"] >= 40, name
-            if name not in ("name", "stream-facts"):
-                whole = "id => (e => e.scrollWidth <= e.clientWidth)(document.getElementById(id))"
-                assert phone.tab.evaluate(whole, name), name
-        phone.close()
 
 
 def test_dialogs_begin_where_people_type_and_help_fits(browser: Any, page: Page, viewer: Viewer) -> None:
