@@ -98,7 +98,11 @@ def test_views_without_texture_have_none(noise: float) -> None:
     [
         ("bars", {"seed": 9098, "grid": (3, 7), "size": (200, 360), "disparity_range": (-3.5, 3.5), "noise": 0.01}),
         ("bars", {"seed": 5002, "grid": (7, 7), "size": (160, 200), "noise": 0.043, "channels": 1}),
-        ("bars", {"seed": 440, "grid": (11, 11), "size": (320, 288), "noise": 0.02, "channels": 1}),
+        pytest.param(
+            "bars",
+            {"seed": 440, "grid": (11, 11), "size": (320, 288), "noise": 0.02, "channels": 1},
+            marks=pytest.mark.thorough,  # 121 views take as long as all other tests of this file
+        ),
     ],
     ids=["few", "noisy", "many"],
 )
