@@ -38,7 +38,10 @@ def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
 
 @once
 def sweep_kernel(channels: int, kept: Any, gradients: bool, rooted: bool, penalty: float) -> Any:
-    """Return the kernel for views of scalar type `kept`. Without `gradients` their weight must be 0; `penalty` is of all view sets but the first."""
+    """Return the kernel for views of scalar type `kept`.
+
+    Without `gradients` their weight must be 0; `penalty` is of all view sets but the first.
+    """
     numbers = {"CHANNELS": channels, "STRIP": _STRIP, "LANES": LANES, "PENALTY": penalty}
     numbers |= {"GRADIENTS": int(gradients), "ROOTED": int(rooted)}
     module = f"lfgpu_plane_sweep_{channels}_{kept.__name__}_{gradients:d}{rooted:d}"

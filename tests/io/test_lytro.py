@@ -1,7 +1,6 @@
 """Processed Lytro containers: their views, and what is said where there is no light field."""
 
 import copy
-import json
 from pathlib import Path
 from typing import Any
 
