@@ -6,15 +6,16 @@ same time, each direction with a volume of its own.
 
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, in_slices, is_preparing, launch, load, once, slices
+from .threads import check_size, in_slices, is_preparing, launch, load, once, slices, with_wide_vectors
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
-_BLOCK = 32  # paths that a CPU follows together
-_CHUNK = 16  # columns of a row that it turns at a time, so that paths along rows lie side by side
+_BLOCK = 64  # paths that a CPU follows together, a multiple of the chunk
+_CHUNK = 16  # columns of a row that it turns at a time, so that paths along rows lie side by side; a power of 2
 _WARP = 32
 _AHEAD = 4  # steps along a path, whose costs are on their way to a GPU's threads
 _WARPS = 4  # of a block of a GPU, each with a path
@@ -27,9 +28,11 @@ _STEPS = dict(zip(("DOWNWARDS", "SIDEWAYS"), zip(*_DIRECTIONS, strict=True), str
 
 @once
 def _blocks_kernel(channels: int) -> Any:
-    numbers = {"CHANNELS": channels, "BLOCK": _BLOCK, "CHUNK": _CHUNK}
-    module = f"lfgpu_semi_global_{channels}"
-    return kernel("semi_global.h", "follow_blocks", module=module, Pixel=pixel_type(channels), **numbers)
+    # Of two rows one after the other, the places whose numbers alternate in a merged row.
+    left, right = np.arange(2 * _CHUNK).reshape(2, 2, -1).transpose(1, 2, 0).reshape(2, -1).tolist()
+    numbers = {"CHANNELS": channels, "BLOCK": _BLOCK, "CHUNK": _CHUNK, "LEFT": tuple(left), "RIGHT": tuple(right)}
+    module, types = f"lfgpu_semi_global_{channels}", {"Pixel": pixel_type(channels)}
+    return with_wide_vectors(kernel("semi_global.h", "follow_blocks", module=module, **types, **numbers))
 
 
 @once

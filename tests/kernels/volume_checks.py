@@ -44,7 +44,7 @@ VOLUME_CASES = (
     VolumeCase("edges everywhere", contrast=0.01),
     VolumeCase("large changes cost little", large=0.01),
     VolumeCase("changes cost nothing", small=0.0, large=0.0),
-    VolumeCase("work for several threads", size=(61, 53), window=7, count=17),
+    VolumeCase("work for several threads", size=(69, 53), window=7, count=17),
 )
 
 REDUCED_CASES = (

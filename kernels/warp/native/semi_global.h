@@ -18,6 +18,34 @@ void follow_blocks(
         large_out = scale.data[p] * (large * likeness > 1.2f * small ? large * likeness : 1.2f * small);
     };
 
+    // A square of numbers is turned in registers: its halves are merged row by row, as often as it can be halved.
+    typedef float Row __attribute__((ext_vector_type(CHUNK)));
+    struct Square {
+        Row rows[CHUNK];
+    };
+    auto square_at = [](const float* corner, size_t stride) {
+        Square found;
+        for (int k = 0; k < CHUNK; ++k) __builtin_memcpy(&found.rows[k], corner + k * stride, sizeof(Row));
+        return found;
+    };
+    auto put = [](const Square& square, float* corner, size_t stride) {
+        for (int k = 0; k < CHUNK; ++k) __builtin_memcpy(corner + k * stride, &square.rows[k], sizeof(Row));
+    };
+    auto turn = [](Square square) {
+        #pragma unroll
+        for (int half = 1; half < CHUNK; half *= 2) {
+            Square merged;
+            #pragma unroll
+            for (int k = 0; k < CHUNK / 2; ++k) {
+                const Row upper = square.rows[k], lower = square.rows[k + CHUNK / 2];
+                merged.rows[2 * k] = __builtin_shufflevector(upper, lower, LEFT);
+                merged.rows[2 * k + 1] = __builtin_shufflevector(upper, lower, RIGHT);
+            }
+            square = merged;
+        }
+        return square;
+    };
+
     const int count = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
     const size_t size = (size_t)height * width;
     float* const before = room.data;  // what the paths cost up to the pixels before, [count + 1][BLOCK]
@@ -82,10 +110,17 @@ void follow_blocks(
             const int columns = width - done < CHUNK ? width - done : CHUNK;
             const int x0 = dx > 0 ? done : width - done - columns;
             const size_t corner = (size_t)y0 * width + x0;
+            const bool whole = rows == BLOCK && columns == CHUNK;
             for (int l = 0; l < count; ++l)
-                for (int j = 0; j < rows; ++j)
-                    for (int i = 0; i < columns; ++i)
-                        turned[(l * CHUNK + i) * BLOCK + j] = volume.data[l * size + corner + j * width + i];
+                if (whole)
+                    for (int j = 0; j < BLOCK; j += CHUNK) {
+                        const float* const costs = volume.data + l * size + corner + j * width;
+                        put(turn(square_at(costs, width)), turned + l * CHUNK * BLOCK + j, BLOCK);
+                    }
+                else
+                    for (int j = 0; j < rows; ++j)
+                        for (int i = 0; i < columns; ++i)
+                            turned[(l * CHUNK + i) * BLOCK + j] = volume.data[l * size + corner + j * width + i];
             for (int k = 0; k < columns; ++k) {
                 const int i = dx > 0 ? k : columns - 1 - k;
                 for (int j = 0; j < rows; ++j) {
@@ -100,11 +135,22 @@ void follow_blocks(
                     advance(column, column, CHUNK * BLOCK, false, 0, rows);
             }
             for (int l = 0; l < count; ++l)
-                for (int j = 0; j < rows; ++j) {
-                    float* const sum = sum_out.data + l * size + corner + j * width;
-                    for (int i = 0; i < columns; ++i)
-                        sum[i] = (adds ? sum[i] : 0.f) + turned[(l * CHUNK + i) * BLOCK + j];
-                }
+                if (whole)
+                    for (int j = 0; j < BLOCK; j += CHUNK) {
+                        float* const sums = sum_out.data + l * size + corner + j * width;
+                        Square square = turn(square_at(turned + l * CHUNK * BLOCK + j, BLOCK));
+                        if (adds) {
+                            const Square before = square_at(sums, width);
+                            for (int k = 0; k < CHUNK; ++k) square.rows[k] += before.rows[k];
+                        }
+                        put(square, sums, width);
+                    }
+                else
+                    for (int j = 0; j < rows; ++j) {
+                        float* const sum = sum_out.data + l * size + corner + j * width;
+                        for (int i = 0; i < columns; ++i)
+                            sum[i] = (adds ? sum[i] : 0.f) + turned[(l * CHUNK + i) * BLOCK + j];
+                    }
         }
     }
 }
