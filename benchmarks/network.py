@@ -17,7 +17,8 @@ from lfgpu._backends import open_device
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
-from lfgpu.methods.matching.learned import Network, Weights, layers
+from lfgpu.methods.matching.learned import Network, layers
+from lfgpu.methods.matching.unet import Weights
 
 WIDTHS = 24, 40, 56, 72
 """Channels of the network that `lfgpu.training` trains."""

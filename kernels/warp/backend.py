@@ -5,6 +5,7 @@ import numpy as np
 from . import recording, streaming
 from .alignment import alignment
 from .boundaries import refine_boundaries
+from .choice import choose, compare_maps
 from .confidence import evidence, judge, line_mean, unevenness
 from .conjugate import conjugate_step
 from .control import asking, capture, is_deterministic, kernel_cache, prepare, repeat

@@ -16,8 +16,11 @@ from lfgpu.contract.control import Recording
 from lfgpu.contract.device import Device
 from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
 from lfgpu.contract.learned import (
+    CLOSE,
+    COMPARED,
     COST_UNIT,
     COSTS,
+    DECISIONS,
     FOLD,
     LEAST_ODDS,
     LEAST_WIDTH,
@@ -47,8 +50,11 @@ from lfgpu.contract.structure_tensor import LocalEstimate, StructureFilters
 from lfgpu.contract.synthesis import DataTerm
 
 __all__ = [
+    "CLOSE",
+    "COMPARED",
     "COSTS",
     "COST_UNIT",
+    "DECISIONS",
     "FOLD",
     "GRADIENT_REACH",
     "LEAST_ODDS",

@@ -33,6 +33,16 @@ LEAST_ODDS, LEAST_WIDTH = 1e-3, 0.05
 """Offsets of a probability, and of a deviation in steps, that keep their logarithms finite."""
 
 
+COMPARED = 12
+"""Features of a pixel that `compare_maps` gives."""
+
+DECISIONS = 3
+"""Numbers of a pixel that `choose` takes."""
+
+CLOSE = 0.5
+"""Pixels in the farthest view: maps that are closer show one surface, and a mean of them does, too."""
+
+
 class SectorCosts(Protocol):
     """Costs of the views in each sector at a row of disparities, planned for light fields of one kind.
 
@@ -124,6 +134,46 @@ class Learned(Protocol):
 
         With f = `peak_features`(probability, deviation / step), the confidence is the logistic function of
         share[:3] . f + share[3] log(limit / step), and the variance is step^2 exp(spread . f). All maps are [y, x].
+        """
+
+    def compare_maps(
+        self,
+        first: Sequence[Array],
+        second: Sequence[Array],
+        *,
+        farthest: float,
+        span: float,
+        features_out: Array,
+    ) -> None:
+        """Compute features [1, y', x', FOLD^2 COMPARED], folded, of two maps of the same views.
+
+        Each is (disparity, confidence, variance, near, wide), all [y, x]; the last two are means of the disparity
+        around. f being the offset of the `farthest` view, the COMPARED features are, with k for the first and the
+        second map and a = f (second - first),
+
+        - log odds(confidence_k) / 4, with LEAST_ODDS as in `peak_features`;
+        - log(f sqrt(variance_k)) / 3, the deviation being 1e-3 to 20;
+        - asinh(a / 0.05) / 4 and log(1 + |a| / 0.03) / 4;
+        - asinh(f (disparity_k - near_k) / 0.1) / 4, and the same with wide_k;
+        - log(f) / 2 and log(1 + f span) / 4, `span` being that of the disparities that were compared.
+        """
+
+    def choose(
+        self,
+        decisions: Array,
+        first: Array,
+        second: Array,
+        *,
+        farthest: float,
+        disparity_out: Array,
+        confidence_out: Array,
+        variance_out: Array,
+    ) -> None:
+        """Make one of two maps [y, x] by `decisions` [1, y', x', FOLD^2 DECISIONS], folded.
+
+        Of the decisions (c, r, s) of a pixel, p = logistic(c) is the weight of the second map. Where the maps are
+        closer than CLOSE / farthest the disparity is their mean; elsewhere it is the second one if p > 1/2, and the
+        first one if not. The confidence is logistic(r), the variance exp(2 s) / farthest^2 with s from -7 to 4.
         """
 
 

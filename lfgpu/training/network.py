@@ -1,7 +1,8 @@
-"""The network: from sector costs to a distribution over disparities for each pixel.
+"""The networks: from sector costs to a distribution over disparities for each pixel, and the choice between two maps.
 
-It is a U-Net over pixels and disparities. Costs are those of the full resolution; 2 x 2 pixels are folded into channels
-before the first layer and unfolded after the last, so volumes are a quarter as large and nothing is averaged away.
+The first is a U-Net over pixels and disparities, the second one over pixels. What they see has the full resolution;
+2 x 2 pixels are folded into channels before the first layer and unfolded after the last, so volumes are a quarter as
+large and nothing is averaged away.
 
 Disparities are in pixels of the farthest view.
 """
@@ -12,7 +13,7 @@ import torch
 import torch.nn.functional as F  # noqa: N812 - its usual name
 from torch import Tensor, nn
 
-from lfgpu.contract import Float64Array
+from lfgpu.contract import COMPARED, DECISIONS, Float64Array
 from lfgpu.training.sectors import CHANNELS, sector_costs
 
 FOLD = 2
@@ -51,44 +52,79 @@ class Merge(nn.Module):
         return F.relu(self.norm(F.interpolate(self.coarse(coarse), size=fine.shape[2:]) + self.fine(fine)))
 
 
-class Network(nn.Module):
-    """The network; `widths` are channels at each of its resolutions."""
+class UNet(nn.Module):
+    """The levels of a network, `widths` the channels at each of its resolutions; `flat` ones see images alone."""
 
-    def __init__(self, widths: tuple[int, int, int, int] = (24, 40, 56, 72)) -> None:
+    def __init__(self, widths: tuple[int, int, int, int], *, flat: bool = False) -> None:
         super().__init__()
         c0, c1, c2, c3 = widths
-        folded = FOLD**2
-        self.sectors = nn.Sequential(
-            nn.Conv3d(CHANNELS * folded, 2 * c0, 1), nn.ReLU(inplace=True), nn.Conv3d(2 * c0, c0, 1)
-        )
-        self.image = nn.Sequential(
-            nn.Conv2d(3 * folded, c0, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(c0, c0, 3, padding=1)
-        )
-        self.level0 = block(c0, c0)
-        self.level1 = nn.Sequential(block(c0, c1, stride=(1, 2, 2)), block(c1, c1))
-        self.level2 = nn.Sequential(block(c1, c2, stride=2), block(c2, c2))
-        self.level3 = nn.Sequential(block(c2, c3, stride=2), block(c3, c3))
-        self.level4 = nn.Sequential(block(c3, c3, size=(1, 3, 3), stride=(1, 2, 2)), block(c3, c3))
-        self.merge3, self.back3 = Merge(c3, c3), block(c3, c3)
-        self.merge2, self.back2 = Merge(c3, c2), block(c2, c2)
-        self.merge1, self.back1 = Merge(c2, c1), block(c1, c1)
-        self.merge0, self.back0 = Merge(c1, c0), block(c0, c0)
-        self.logits = nn.Conv3d(c0, folded, 3, padding=1)
+        size, wide = ((1, 3, 3), (1, 2, 2)) if flat else ((3, 3, 3), (2, 2, 2))
+        self.level0 = block(c0, c0, size=size)
+        self.level1 = nn.Sequential(block(c0, c1, size=size, stride=(1, 2, 2)), block(c1, c1, size=size))
+        self.level2 = nn.Sequential(block(c1, c2, size=size, stride=wide), block(c2, c2, size=size))
+        self.level3 = nn.Sequential(block(c2, c3, size=size, stride=wide), block(c3, c3, size=size))
+        self.level4 = nn.Sequential(block(c3, c3, size=(1, 3, 3), stride=(1, 2, 2)), block(c3, c3, size=size))
+        self.merge3, self.back3 = Merge(c3, c3), block(c3, c3, size=size)
+        self.merge2, self.back2 = Merge(c3, c2), block(c2, c2, size=size)
+        self.merge1, self.back1 = Merge(c2, c1), block(c1, c1, size=size)
+        self.merge0, self.back0 = Merge(c1, c0), block(c0, c0, size=size)
 
-    def forward(self, costs: Tensor, image: Tensor) -> Tensor:
-        """Give logits float32 [b, l, y, x] to costs [b, CHANNELS, l, y, x] and images [b, 3, y, x]."""
-        mixed = self.sectors(F.pixel_unshuffle(costs.transpose(1, 2), FOLD).transpose(1, 2))
-        x0 = self.level0(F.relu(mixed + self.image(F.pixel_unshuffle(image, FOLD))[:, :, None]))
+    def through(self, volume: Tensor) -> Tensor:
+        """Send a volume [b, c, l, y, x] through all levels."""
+        x0 = self.level0(volume)
         x1 = self.level1(x0)
         x2 = self.level2(x1)
         x3 = self.level3(x2)
         y = self.back3(self.merge3(self.level4(x3), x3))
         y = self.back2(self.merge2(y, x2))
         y = self.back1(self.merge1(y, x1))
-        y = self.back0(self.merge0(y, x0))
+        found: Tensor = self.back0(self.merge0(y, x0))
+        return found
+
+
+class Network(UNet):
+    """The network."""
+
+    def __init__(self, widths: tuple[int, int, int, int] = (24, 40, 56, 72)) -> None:
+        super().__init__(widths)
+        c0, folded = widths[0], FOLD**2
+        self.sectors = nn.Sequential(
+            nn.Conv3d(CHANNELS * folded, 2 * c0, 1), nn.ReLU(inplace=True), nn.Conv3d(2 * c0, c0, 1)
+        )
+        self.image = nn.Sequential(
+            nn.Conv2d(3 * folded, c0, 3, padding=1), nn.ReLU(inplace=True), nn.Conv2d(c0, c0, 3, padding=1)
+        )
+        self.logits = nn.Conv3d(c0, folded, 3, padding=1)
+
+    def forward(self, costs: Tensor, image: Tensor) -> Tensor:
+        """Give logits float32 [b, l, y, x] to costs [b, CHANNELS, l, y, x] and images [b, 3, y, x]."""
+        mixed = self.sectors(F.pixel_unshuffle(costs.transpose(1, 2), FOLD).transpose(1, 2))
+        y = self.through(F.relu(mixed + self.image(F.pixel_unshuffle(image, FOLD))[:, :, None]))
         with torch.autocast(y.device.type, enabled=False):  # differences of logits are hundredths of a pixel
             logits = self.logits(y.float())
         return F.pixel_shuffle(logits.transpose(1, 2), FOLD)[:, :, 0]
+
+
+class Choice(UNet):
+    """The network that chooses between two maps."""
+
+    def __init__(self, widths: tuple[int, int, int, int] = (16, 24, 32, 32)) -> None:
+        super().__init__(widths, flat=True)
+        c0, folded = widths[0], FOLD**2
+        self.image = nn.Sequential(nn.Conv3d(3 * folded, 2 * c0, 1))
+        self.features = nn.Sequential(
+            nn.Conv3d(COMPARED * folded, 2 * c0, 1), nn.ReLU(inplace=True), nn.Conv3d(2 * c0, c0, 1)
+        )
+        self.decisions = nn.Conv3d(c0, DECISIONS * folded, (1, 3, 3), padding=(0, 1, 1))
+
+    def forward(self, features: Tensor, image: Tensor) -> Tensor:
+        """Give decisions float32 [b, DECISIONS, y, x] to features [b, COMPARED, y, x] and images [b, 3, y, x]."""
+        first, between, last = self.features
+        seen = self.image(F.pixel_unshuffle(image, FOLD)[:, :, None])
+        mixed = between(first(F.pixel_unshuffle(features, FOLD)[:, :, None]) + seen)
+        y = self.through(F.relu(last(mixed)))
+        with torch.autocast(y.device.type, enabled=False):
+            return F.pixel_shuffle(self.decisions(y.float())[:, :, 0], FOLD)
 
 
 _REACH = 2  # disparities on either side of the likeliest one that its mean is over

@@ -15,7 +15,7 @@ import torch
 import torch.distributed as dist
 
 from lfgpu.io import atomic_write
-from lfgpu.methods.matching.learned import Weights
+from lfgpu.methods.matching.unet import Weights
 from lfgpu.training.rig import Rig
 from lfgpu.training.train import Settings, Trainer, Validation
 from lfgpu.training.weights import write_weights
@@ -79,7 +79,7 @@ def run(
             process.join()
     found = trainer.validate()
     trainer.note({"step": trainer.step, "unseen": found.errors})
-    write_weights(out, trainer.mean.state_dict(), found.share, found.spread)
+    write_weights(out, trainer.mean.state_dict(), share=found.share, spread=found.spread)
     with atomic_write(folder / PICTURE_FILE) as path:
         comparison(found.shown).save(path)
     return trainer.step, found

@@ -19,7 +19,7 @@ from lfgpu.comparison import Scene
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
-from lfgpu.methods.matching.learned import Weights
+from lfgpu.methods.matching.unet import Weights
 from lfgpu.training.generator import Batch, Generator
 from lfgpu.training.network import MULTIPLE, Network, certainty, estimate, peak
 from lfgpu.training.rig import Rig

@@ -13,7 +13,8 @@ from torch import Tensor, nn
 
 from lfgpu.contract import FOLD, Float32Array, Float64Array
 from lfgpu.io.atomic import atomic_write
-from lfgpu.methods.matching.learned import VERSION, Weights
+from lfgpu.methods.matching.learned import VERSION
+from lfgpu.methods.matching.unet import Weights
 
 _EPSILON = 1e-5  # of PyTorch's normalisation
 
@@ -122,9 +123,12 @@ def unfold(weights: Weights, network: nn.Module, show: Callable[[nn.Module], obj
             norm.bias.add_(mean)
 
 
-def write_weights(path: str | Path, state: Mapping[str, Tensor], share: Float64Array, spread: Float64Array) -> None:
-    """Write the folded weights of a network's state, in half precision, and its trust (`fit_trust`) to an .npz."""
+def write_weights(path: str | Path, state: Mapping[str, Tensor], **trust: Float64Array) -> None:
+    """Write the folded weights of a network's state, in half precision, to an .npz.
+
+    `trust` is that of `fit_trust`, by name; a choice has none.
+    """
     halves: dict[str, Any] = {name: values.astype(np.float16) for name, values in fold(state).items()}
-    trust: dict[str, Any] = {"share": share.astype(np.float32), "spread": spread.astype(np.float32)}
+    others: dict[str, Any] = {name: values.astype(np.float32) for name, values in trust.items()}
     with atomic_write(path) as temporary:
-        np.savez(temporary, **halves, **trust, version=VERSION)
+        np.savez(temporary, **halves, **others, version=VERSION)

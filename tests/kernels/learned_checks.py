@@ -7,7 +7,7 @@ import checks
 import numpy as np
 from checks import Desk, Operation, Outputs
 
-from lfgpu.contract import COSTS, FOLD
+from lfgpu.contract import COMPARED, COSTS, DECISIONS, FOLD
 
 
 @dataclass(frozen=True)
@@ -198,6 +198,63 @@ def peak_inputs(case: PeakCase, rng: np.random.Generator) -> SimpleNamespace:
     )
 
 
+@dataclass(frozen=True)
+class ChoiceCase(Stored):
+    """Two maps of `size`, `apart` by so many pixels in the farthest view, folded with room for more."""
+
+    size: tuple[int, int] = (6, 10)
+    room: int = 0
+    apart: float = 1.0
+    farthest: float = 4.0
+
+
+CHOICE_CASES = (
+    ChoiceCase("two maps"),
+    ChoiceCase("odd sizes", size=(7, 9)),
+    ChoiceCase("room beyond the border", size=(5, 6), room=5),
+    ChoiceCase("half precision", "float16", apart=30.0),
+    ChoiceCase("one pixel", size=(1, 1)),
+    ChoiceCase("close", apart=0.01, farthest=1.0),
+    ChoiceCase("work for several threads", size=(33, 150), apart=0.5),
+)
+
+
+def choice_inputs(case: ChoiceCase, rng: np.random.Generator) -> SimpleNamespace:
+    folded = [-(-(side + case.room) // FOLD) for side in case.size]
+    first = rng.uniform(-2, 2, case.size)
+    second = first + case.apart / case.farthest * rng.normal(size=case.size)
+    return SimpleNamespace(
+        maps=[
+            [
+                disparity,
+                rng.choice([0.0, 1.0, *rng.random(8)], case.size),
+                rng.choice([0.0, 1e4, *rng.random(8)], case.size),
+                *(disparity + 0.3 * rng.normal(size=case.size) for _ in range(2)),
+            ]
+            for disparity in (first, second)
+        ],
+        decisions=3 * rng.normal(size=(1, *folded, FOLD**2 * DECISIONS)),
+        farthest=case.farthest,
+        folded=folded,
+        stored=case.stored,
+    )
+
+
+def compare_maps(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.stored_out((1, *i.folded, FOLD**2 * COMPARED), i.stored)
+    first, second = ([desk.field(values) for values in some] for some in i.maps)
+    desk.kernels.compare_maps(first, second, farthest=i.farthest, span=2.5, features_out=out)
+    return {"features": desk.stored_values(out)}
+
+
+def choose(desk: Desk, i: SimpleNamespace) -> Outputs:
+    names = ("disparity", "confidence", "variance")
+    out = {f"{name}_out": desk.out(i.maps[0][0].shape) for name in names}
+    first, second = (desk.field(some[0]) for some in i.maps)
+    desk.kernels.choose(desk.image(i.decisions.astype(np.float32)), first, second, farthest=i.farthest, **out)
+    return {name: out[f"{name}_out"] for name in names}
+
+
 def brightness(desk: Desk, i: SimpleNamespace) -> Outputs:
     """Of an image, of a dark one and of a bright one."""
     found = {}
@@ -265,5 +322,7 @@ OPERATIONS = (
     Operation(convolution, "convolution"),
     Operation(peak, "peak"),
     Operation(judge_peak, "peak"),
+    Operation(compare_maps, "choice"),
+    Operation(choose, "choice"),
 )
-BRIGHTNESS, FOLDING, SECTOR_COSTS, CONVOLUTION, PEAK, JUDGE_PEAK = OPERATIONS
+BRIGHTNESS, FOLDING, SECTOR_COSTS, CONVOLUTION, PEAK, JUDGE_PEAK, COMPARE_MAPS, CHOOSE = OPERATIONS

@@ -13,12 +13,15 @@ import smoothing_checks
 import solver_checks
 from checks import compute
 from learned_checks import (
+    CHOICE_CASES,
     CONVOLUTION_CASES,
     PEAK_CASES,
     SECTOR_CASES,
+    ChoiceCase,
     ConvolutionCase,
     PeakCase,
     SectorCase,
+    choice_inputs,
     convolution_inputs,
     peak_inputs,
     sector_inputs,
@@ -389,3 +392,32 @@ def test_the_distinct_minimum_is_that_of_a_loop(rng: np.random.Generator) -> Non
             assert worst == i.volume[:, k, y, x].max()
         else:
             assert (place, worst) == (k, UNSEEN)
+
+
+@pytest.mark.parametrize("case", CHOICE_CASES, ids=str)
+def test_features_and_choices_are_those_of_each_pixel(case: ChoiceCase, rng: np.random.Generator) -> None:
+    i = choice_inputs(case, rng)
+    features = compute(REFERENCE, "cpu", learned_checks.COMPARE_MAPS, i)["features"][0]
+    chosen = compute(REFERENCE, "cpu", learned_checks.CHOOSE, i)
+    for _ in range(20):
+        y, x = (int(rng.integers(2 * side)) for side in i.folded)
+        inside = min(y, case.size[0] - 1), min(x, case.size[1] - 1)
+        (d0, c0, v0, *means0), (d1, c1, v1, *means1) = ([float(values[inside]) for values in some] for some in i.maps)
+        apart = case.farthest * (d1 - d0)
+        want = [math.log((c + 1e-3) / (1.001 - c)) / 4 for c in (c0, c1)]
+        want += [math.log(min(max(case.farthest * math.sqrt(v), 1e-3), 20)) / 3 for v in (v0, v1)]
+        want += [math.asinh(20 * apart) / 4, math.log(1 + abs(apart) / 0.03) / 4]
+        for near in zip(means0, means1, strict=True):
+            want += [math.asinh(10 * case.farthest * (d - m)) / 4 for d, m in zip((d0, d1), near, strict=True)]
+        want += [math.log(case.farthest) / 2, math.log(1 + 2.5 * case.farthest) / 4]
+        folded = features[y // 2, x // 2].reshape(len(want), 2, 2)
+        np.testing.assert_allclose(folded[:, y % 2, x % 2], want, atol=1e-9)
+        if (y, x) != inside:
+            continue
+        choice, right, size = i.decisions[0, y // 2, x // 2].reshape(3, 2, 2)[:, y % 2, x % 2]
+        share = 1 / (1 + math.exp(-choice))
+        share = share if abs(apart) < 0.5 else round(share)
+        assert chosen["disparity"][inside] == pytest.approx((1 - share) * d0 + share * d1)
+        assert chosen["confidence"][inside] == pytest.approx(1 / (1 + math.exp(-right)))
+        deviation = math.exp(min(max(size, -7), 4)) / case.farthest
+        assert chosen["variance"][inside] == pytest.approx(deviation**2)

@@ -10,17 +10,19 @@ from command_line import lfgpu, refused
 
 from lfgpu import estimate_depth, scenes
 from lfgpu.io import write_hci
-from lfgpu.methods.matching.learned import BUILT_IN, read_weights
+from lfgpu.methods.matching.choice import read_choice
+from lfgpu.methods.matching.learned import BUILT_IN, read_weights, weights_file
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install lfgpu[train]")
 
+from lfgpu.training.choice import chosen, draw, loss_of, train_choice  # noqa: E402
 from lfgpu.training.generator import Batch, Generator  # noqa: E402
 from lfgpu.training.network import MULTIPLE, Network, estimate, peak  # noqa: E402
 from lfgpu.training.rig import measured_rig  # noqa: E402
 from lfgpu.training.run import run  # noqa: E402
 from lfgpu.training.sectors import SECTORS, UNIT, order_of_sectors, sector_costs  # noqa: E402
 from lfgpu.training.train import Settings, Trainer, count_of, disparities_for  # noqa: E402
-from lfgpu.training.weights import fold  # noqa: E402
+from lfgpu.training.weights import fold, write_weights  # noqa: E402
 
 torch.set_num_threads(1)  # small volumes: several threads would wait for each other, most of all on a busy machine
 
@@ -222,3 +224,21 @@ def test_two_processes_learn_the_same(tmp_path: Path) -> None:
     alone.run(600)
     both = torch.load(tmp_path / "run" / "state.pt")["network"]
     assert not all(torch.equal(value, both[name]) for name, value in alone.network.state_dict().items())
+
+
+def test_a_choice_learns(tmp_path: Path) -> None:
+    """On a few light fields, whose maps it tells apart afterwards."""
+    weights = weights_file(BUILT_IN)
+    seen = draw(2, seed=1, device="cpu", side=64, weights=weights, on_light_field=lambda _: None)
+    assert torch.isfinite(seen.features).all()
+    losses = []
+    for steps in (1, 120):
+        network = train_choice(seen, steps=steps, seed=0)
+        with torch.no_grad():
+            decisions = network(seen.features.float(), seen.image.float())
+        losses.append(float(loss_of(decisions, seen)))
+        errors = (chosen(seen.maps, decisions) - seen.truth).abs().clamp(max=4).mean()
+    assert losses[1] < losses[0] - 0.1
+    assert float(errors) < float((seen.maps - seen.truth[:, None]).abs().clamp(max=4).mean((0, 2, 3)).max())
+    write_weights(tmp_path / "choice.npz", network.state_dict())
+    assert read_choice(tmp_path / "choice.npz").keys() == fold(network.state_dict()).keys()

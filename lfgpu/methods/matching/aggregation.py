@@ -91,6 +91,7 @@ class Learned(Aggregation):
         with frame.arena.scratch() as scratch:
             self._probability, self._deviation = scratch.fields(2, frame.size)
             self._network = Network(frame.arena, self._weights, layout, disparities.count)
+        self.image, self.factor = self._network.image, self._network.factor
         views.on_load(lambda *_: self._network.load(*frame.thinned))
         self._first = frame.arena.constant("first of the network", np.full(frame.size, disparities.first))
         self.confidence, self.variance = (

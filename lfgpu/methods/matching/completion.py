@@ -114,7 +114,11 @@ class Completion:
     def run(self, aligned: Array, curvature: Array, disparity_out: Array) -> None:
         """Complete an aligned map [y, x] with the curvature [y, x] of the alignment, which may change."""
         self._boundaries.run(self._image, aligned, disparity_out)
+        self.fill(disparity_out, curvature)
+
+    def fill(self, disparity: Array, curvature: Array) -> None:
+        """Fill the surfaces without texture of a map [y, x] in place; the curvature [y, x] may change."""
         if self._alike is not None:
             self._kernels.select(self._alike, curvature, self._held, curvature)
-        self._filling.run(disparity_out, curvature)
-        self._kernels.clamp(disparity_out, *self._bounds, disparity_out)
+        self._filling.run(disparity, curvature)
+        self._kernels.clamp(disparity, *self._bounds, disparity)

@@ -46,7 +46,7 @@ FAST = (
 )
 
 LEARNED = (Sweep("all", "", "view sets", 0, "learned"),)
-"""A network, which has costs of its own; after other sweeps it finds a second map, see `second.py`."""
+"""A network, which has costs of its own; after other sweeps it finds a second map, see `choice.py`."""
 
 
 def matching_sweeps(resweeps: int) -> tuple[Sweep, ...]:

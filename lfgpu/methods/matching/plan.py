@@ -17,13 +17,13 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.base import Callback, Work
 from lfgpu.methods.matching.alignment import Alignment
+from lfgpu.methods.matching.choice import SecondMap
 from lfgpu.methods.matching.completion import Completion
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.judging import kind_of
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.passes import Sweeps
-from lfgpu.methods.matching.second import SecondMap
 from lfgpu.methods.matching.views import are_around, chosen_views
 from lfgpu.methods.measured import Measured
 from lfgpu.solvers.solution import Solution
@@ -51,8 +51,10 @@ class MatchingPlan:
             arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.is_live
         )
         self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
-        self._completion = Completion(frame, keeps_prior=self.is_live)
-        self._second = None if self._sweeps.second is None else SecondMap(frame, self._sweeps)
+        are_two = self._sweeps.second is not None
+        self._completion = Completion(frame, keeps_prior=self.is_live or are_two)
+        self.second = SecondMap(frame, self._sweeps) if are_two else None
+        """The second map, if the table of sweeps has one."""
         self._put_unknown = frame.known.putting(np.nan)
         names = ("swept", "aligned", "disparity", "confidence")
         self._swept, self._aligned, self.disparity, self.confidence = (arena.field(name, frame.size) for name in names)
@@ -123,8 +125,6 @@ class MatchingPlan:
     def _align(self, callback: Callback | None) -> None:
         variance = self._sweeps.last.aggregation.variance
         self._alignment.run(self._matched, variance, self._aligned, self._steps, callback)
-        if self._second is not None:
-            self._second.take(self._alignment, self._unhidden, self._aligned)
 
     def _finish(self, _: Callback | None) -> None:
         self._complete()
@@ -132,6 +132,8 @@ class MatchingPlan:
 
     def _complete(self) -> None:
         self._completion.run(self._aligned, self._alignment.curvature, self.disparity)
+        if self.second is not None:
+            self.second.take(self._alignment, self._completion, self._unhidden, self.disparity)
         self._judge()
 
     @property
@@ -141,7 +143,9 @@ class MatchingPlan:
 
     def _judge(self) -> None:
         """Find confidence and variance."""
-        self._sweeps.judge(self._sweeps.last, self.disparity, self._unhidden, self.confidence)
-        if self._second is not None:
-            self._second.judge(self.confidence)
+        if self.second is None:
+            self._sweeps.judge(self._sweeps.last, self.disparity, self._unhidden, self.confidence)
+        else:
+            self._kernels.copy(self.second.confidence, self.confidence)
+            self._kernels.copy(self.second.variance, self._sweeps.judging.variance)
         self._frame.known.take_out(self.confidence)

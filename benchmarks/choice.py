@@ -1,0 +1,38 @@
+"""Training of the choice of the preset surest, for a release whose network or sweeps have changed."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from benchmarks.options import DeviceName, say
+from lfgpu.methods.matching import learned
+
+
+def command(
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.npz", help="File of the weights.")],
+    light_fields: Annotated[int, typer.Option(min=1, metavar="N", help="Light fields to learn from.")] = 3360,
+    side: Annotated[int, typer.Option(min=32, help="Pixels of these, each way.")] = 256,
+    steps: Annotated[int, typer.Option(min=1)] = 3500,
+    seed: Annotated[int, typer.Option(min=0)] = 0,
+    device: DeviceName = None,
+) -> None:
+    """Generate light fields, match them twice, and train the choice between the two maps (needs PyTorch)."""
+    from lfgpu.training.choice import draw, train_choice
+    from lfgpu.training.weights import write_weights
+
+    began, place = time.monotonic(), device or "cuda:0"
+
+    def shown(done: int, said: str = "light fields") -> None:
+        if done % 100 == 0:
+            say(f"{done} {said}, {time.monotonic() - began:.0f} s")
+
+    weights = learned.weights_file(learned.BUILT_IN)
+    seen = draw(light_fields, seed=seed, device=place, side=side, weights=weights, on_light_field=shown)
+    network = train_choice(
+        seen, steps=steps, seed=seed, on_step=lambda step, loss: shown(step, f"steps, loss {float(loss):.3f}")
+    )
+    write_weights(out, network.state_dict())

@@ -1,0 +1,129 @@
+"""Two maps of the same views, and the choice between them; `kernels/reference/choice.py` says what they are."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import warp as wp
+
+from lfgpu.contract import CLOSE, COMPARED, DECISIONS, FOLD, LEAST_ODDS
+
+from .memory import pixel_type
+from .threads import launch, launch_rows, once
+
+_LEAST_ODDS, _CLOSE = wp.constant(LEAST_ODDS), wp.constant(CLOSE)
+_Features = wp.types.vector(length=COMPARED, dtype=float)
+
+
+@wp.func
+def _arsinh(x: float) -> float:
+    size = wp.abs(x)
+    return wp.sign(x) * wp.log(size + wp.sqrt(size * size + 1.0))
+
+
+@wp.func
+def _log_odds(confidence: float) -> float:
+    return wp.log((confidence + _LEAST_ODDS) / (1.0 - confidence + _LEAST_ODDS))
+
+
+@wp.func
+def _log_deviation(variance: float, farthest: float) -> float:
+    return wp.log(wp.clamp(farthest * wp.sqrt(variance), 1e-3, 20.0))
+
+
+@once
+def _compare_kernel(stored: Any) -> Any:
+    folded: Any = pixel_type(FOLD**2 * COMPARED, stored)
+    field: Any = wp.array2d(dtype=float)
+
+    @wp.kernel(module=f"lfgpu_compare_maps_{stored.__name__}", enable_backward=False)
+    def compare_kernel(
+        map_0: field,
+        confidence_0: field,
+        variance_0: field,
+        near_0: field,
+        wide_0: field,
+        map_1: field,
+        confidence_1: field,
+        variance_1: field,
+        near_1: field,
+        wide_1: field,
+        farthest: float,
+        span: float,
+        features_out: wp.array3d(dtype=folded),
+    ):
+        row, column = wp.tid()
+        result = folded()
+        for i in range(wp.static(FOLD)):
+            for j in range(wp.static(FOLD)):
+                y = wp.min(wp.static(FOLD) * row + i, map_0.shape[0] - 1)
+                x = wp.min(wp.static(FOLD) * column + j, map_0.shape[1] - 1)
+                d0 = map_0[y, x]
+                d1 = map_1[y, x]
+                apart = farthest * (d1 - d0)
+                found = _Features(
+                    _log_odds(confidence_0[y, x]) / 4.0,
+                    _log_odds(confidence_1[y, x]) / 4.0,
+                    _log_deviation(variance_0[y, x], farthest) / 3.0,
+                    _log_deviation(variance_1[y, x], farthest) / 3.0,
+                    _arsinh(apart / 0.05) / 4.0,
+                    wp.log(1.0 + wp.abs(apart) / 0.03) / 4.0,
+                    _arsinh(farthest * (d0 - near_0[y, x]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d1 - near_1[y, x]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d0 - wide_0[y, x]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d1 - wide_1[y, x]) / 0.1) / 4.0,
+                    wp.log(farthest) / 2.0,
+                    wp.log(1.0 + farthest * span) / 4.0,
+                )
+                for c in range(wp.static(COMPARED)):
+                    result[wp.static(FOLD**2) * c + wp.static(FOLD) * i + j] = stored(found[c])
+        features_out[0, row, column] = result
+
+    return compare_kernel
+
+
+def compare_maps(
+    first: Sequence[Any], second: Sequence[Any], *, farthest: float, span: float, features_out: Any
+) -> None:
+    comparing = _compare_kernel(features_out.dtype._wp_scalar_type_)
+    inputs = [*first, *second, farthest, span]
+    launch(comparing, features_out.shape[1:], inputs, [features_out], device=features_out.device)
+
+
+@wp.kernel(enable_backward=False)
+def _choose_kernel(
+    decisions: wp.array3d(dtype=pixel_type(FOLD**2 * DECISIONS)),
+    first: wp.array2d(dtype=float),
+    second: wp.array2d(dtype=float),
+    farthest: float,
+    row: int,
+    lanes: int,
+    disparity_out: wp.array2d(dtype=float),
+    confidence_out: wp.array2d(dtype=float),
+    variance_out: wp.array2d(dtype=float),
+):
+    i = wp.tid()
+    y = row + i / lanes
+    for x in range(i % lanes, first.shape[1], lanes):
+        found = decisions[0, y / wp.static(FOLD), x / wp.static(FOLD)]
+        place = y % wp.static(FOLD) * wp.static(FOLD) + x % wp.static(FOLD)
+        share = 1.0 / (1.0 + wp.exp(-found[place]))
+        apart = second[y, x] - first[y, x]
+        if farthest * wp.abs(apart) >= _CLOSE:
+            share = wp.where(share > 0.5, 1.0, 0.0)
+        disparity_out[y, x] = first[y, x] + share * apart
+        confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-found[wp.static(FOLD**2) + place]))
+        deviation = wp.exp(wp.clamp(found[wp.static(2 * FOLD**2) + place], -7.0, 4.0)) / farthest
+        variance_out[y, x] = deviation * deviation
+
+
+def choose(
+    decisions: Any,
+    first: Any,
+    second: Any,
+    *,
+    farthest: float,
+    disparity_out: Any,
+    confidence_out: Any,
+    variance_out: Any,
+) -> None:
+    launch_rows(_choose_kernel, [decisions, first, second, farthest], disparity_out, confidence_out, variance_out)

@@ -1,0 +1,155 @@
+"""The choice between two maps of a table of sweeps: that of the sweeps, and that of a network.
+
+Neither knows of the other, and they fail at different places. A second, small network, which looks at both maps and
+what they say of themselves, tells which to believe, and how likely the result is right. `lfgpu/training/choice.py`
+trains it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from lfgpu.contract import COMPARED, DECISIONS, FOLD, Array, Scalar
+from lfgpu.methods.arena import Arena
+from lfgpu.methods.matching.aggregation import Learned
+from lfgpu.methods.matching.alignment import Alignment
+from lfgpu.methods.matching.base import square_mean
+from lfgpu.methods.matching.completion import Completion
+from lfgpu.methods.matching.frame import Frame
+from lfgpu.methods.matching.learned import checked_weights, read_file
+from lfgpu.methods.matching.passes import Sweeps
+from lfgpu.methods.matching.unet import PIXELS, Layers, UNet, Weights, level_layers, stored_type, widths_of
+
+BUILT_IN = Path(__file__).with_name("choice.npz")
+"""The file of the weights of the choice."""
+
+REACHES = 4, 16
+"""Pixels on each side over which maps are averaged, to see how a pixel differs from those around it."""
+
+_STRIDES = dict.fromkeys(range(1, 5), (1, 2, 2))
+
+
+def layers(widths: Sequence[int]) -> Layers:
+    """List the convolutions of a choice with these channels at each resolution: window, and channels in and out."""
+    c0, flat, pixel = widths[0], (1, 3, 3), (1, 1, 1)
+    return {
+        "image.0": (pixel, 4 * FOLD**2, 2 * c0),
+        "features.0": (pixel, COMPARED * FOLD**2, 2 * c0),
+        "features.2": (pixel, 2 * c0, c0),
+        **level_layers(widths, whole=flat),
+        "decisions": (flat, c0, DECISIONS * FOLD**2),
+    }
+
+
+def read_choice(path: Path) -> Weights:
+    """Read the weights of a choice; LightFieldError if the file holds something else."""
+    weights = read_file(path)
+    return checked_weights(path, weights, layers(widths_of(weights)), {})
+
+
+@cache
+def _built_in() -> Weights:
+    return read_choice(BUILT_IN)
+
+
+class Choice:
+    """The network that chooses, a U-Net over the pixels of images [y, x, c], with all memory allocated."""
+
+    def __init__(self, arena: Arena, weights: Weights, size: tuple[int, int]) -> None:
+        self._kernels = arena.kernels
+        self._net = UNet(arena, weights, strides=_STRIDES, linear=(".coarse", "image.0", "decisions"))
+        shape = 1, *(-(-side // PIXELS) * PIXELS // FOLD for side in size)
+        stored = stored_type(arena)
+        with arena.scratch() as scratch:
+            self.image, self.features = (
+                scratch.image((*shape, channels * FOLD**2), stored) for channels in (4, COMPARED)
+            )
+            width = len(weights["features.0.bias"])
+            self._seen, self._mixed = (scratch.image((*shape, width), stored) for _ in range(2))
+            self._begin = self._net.allocate(scratch, shape, stored)
+            self._decisions = scratch.image((*shape, DECISIONS * FOLD**2), np.float32)
+
+    def see(
+        self, image: Array, factor: Scalar, first: Sequence[Array], second: Sequence[Array], *, farthest: float,
+        span: float,
+    ) -> None:  # fmt: skip
+        """Take two maps, as `KernelSet.compare_maps` does, of a reference image [y, x, c] times a factor."""
+        self._kernels.fold(image, factor, folded_out=self.image)
+        self._kernels.compare_maps(first, second, farthest=farthest, span=span, features_out=self.features)
+
+    def __call__(self) -> Array:
+        """Find the decisions of `KernelSet.choose`."""
+        run = self._net.parts
+        run["image.0"](self.image, None, self._seen)
+        run["features.0"](self.features, self._seen, self._mixed)
+        run["features.2"](self._mixed, None, self._begin)
+        run["decisions"](self._net.through(), None, self._decisions)
+        return self._decisions
+
+
+class SecondMap:
+    """The map of the network, aligned and filled as that of the sweeps is, and the choice between both.
+
+    Parameters
+    ----------
+    frame
+        The views.
+    sweeps
+        The sweeps, with a second one.
+    """
+
+    def __init__(self, frame: Frame, sweeps: Sweeps) -> None:
+        arena, size = frame.arena, frame.size
+        assert sweeps.second is not None
+        self._frame, self._kernels, self._sweeps, self._second = frame, frame.kernels, sweeps, sweeps.second
+        self._farthest, self._steps = frame.layout.farthest, frame.config.alignment.iterations
+        self.confidence, self.variance = (arena.field(f"chosen {name}", size) for name in ("confidence", "variance"))
+        """Of the chosen map, as `KernelSet.choose` gives them."""
+        self.map, self._matched, self._judged = (
+            arena.field(f"second map, {name}", size) for name in ("filled", "matched", "judged")
+        )
+        """`map` [y, x] is that of the network."""
+        self.first = arena.field("first map", size)
+        """The map of the sweeps [y, x]."""
+        with arena.scratch() as scratch:
+            self._workspace = scratch.field(size)
+            self._means = [scratch.fields(2, size) for _ in REACHES]
+            self.choice = Choice(arena, _built_in(), size)
+
+    def take(self, alignment: Alignment, completion: Completion, unhidden: Array | None, map_: Array) -> None:
+        """Find the second map, and make `map_` [y, x], that of the sweeps, the chosen one.
+
+        `unhidden` as for `Judging.run`.
+        """
+        self._kernels.copy(map_, self.first)
+        self._compare(alignment, completion, unhidden)
+        self._kernels.choose(
+            self.choice(),
+            self.first,
+            self.map,
+            farthest=self._farthest,
+            disparity_out=map_,
+            confidence_out=self.confidence,
+            variance_out=self.variance,
+        )
+
+    def _compare(self, alignment: Alignment, completion: Completion, unhidden: Array | None) -> None:
+        """Find the second map, and what the choice sees of both."""
+        network = self._second.aggregation
+        assert isinstance(network, Learned)
+        self._sweeps.find(self._second, None, self._matched)
+        alignment.run(self._matched, network.variance, self.map, self._steps, None)
+        completion.fill(self.map, alignment.curvature)
+        self._sweeps.judge(self._sweeps.last, self.first, unhidden, self._judged)
+        own = [self.first, self._judged, self._sweeps.judging.variance]
+        others = [self.map, network.confidence, network.variance]
+        for reach, means in zip(REACHES, self._means, strict=True):
+            for values, mean in zip((own, others), means, strict=True):
+                square_mean(self._kernels, values[0], reach=reach, workspace=self._workspace, means_out=mean)
+                values.append(mean)
+        low, high = self._frame.bounds
+        self.choice.see(network.image, network.factor, own, others, farthest=self._farthest, span=high - low)
