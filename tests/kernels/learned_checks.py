@@ -206,6 +206,8 @@ class ChoiceCase(Stored):
     room: int = 0
     apart: float = 1.0
     farthest: float = 4.0
+    decision: float = 0.0
+    """Mean of the decisions; small ones say that the first map is right to a hundredth of a pixel."""
 
 
 CHOICE_CASES = (
@@ -215,6 +217,7 @@ CHOICE_CASES = (
     ChoiceCase("half precision", "float16", apart=30.0),
     ChoiceCase("one pixel", size=(1, 1)),
     ChoiceCase("close", apart=0.01, farthest=1.0),
+    ChoiceCase("small decisions", decision=-12.0),
     ChoiceCase("work for several threads", size=(33, 150), apart=0.5),
 )
 
@@ -233,7 +236,7 @@ def choice_inputs(case: ChoiceCase, rng: np.random.Generator) -> SimpleNamespace
             ]
             for disparity in (first, second)
         ],
-        decisions=3 * rng.normal(size=(1, *folded, FOLD**2 * DECISIONS)),
+        decisions=rng.normal(case.decision, 3, (1, *folded, FOLD**2 * DECISIONS)),
         farthest=case.farthest,
         folded=folded,
         stored=case.stored,
