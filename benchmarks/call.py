@@ -30,6 +30,7 @@ _PARTS: dict[str, tuple[Any, str]] = {
     "range": (base, "find_disparity_range"),
     "grain": (method, "measured_grain"),
     "noise": (method, "measured_noise"),
+    "numbers": (DepthPipeline, "_follow_measured"),
     "plan": (DepthPipeline, "_replan"),
     "capture": (load(), "capture"),
     "estimate": (DepthPipeline, "estimate"),
@@ -40,9 +41,10 @@ _PARTS: dict[str, tuple[Any, str]] = {
     "off": (screening, "_may_be_off"),
     "swapped": (screening, "_may_be_swapped"),
 }
-"""Functions that are timed. Views are uploaded, measured (range, grain, noise) and planned for while the pipeline takes
-them; work is captured, and the result copied, within the estimate; cameras are screened for the verdict, at points, for
-views that may be off, and beside that for swapped axes."""
+"""Functions that are timed. Views are uploaded and measured (range and beside it grain, noise) while the pipeline takes
+them, and other numbers go to the plan, or a new plan is made; work is captured, and the result copied, within the
+estimate; cameras are screened for the verdict, at points, for views that may be off, and beside that for swapped axes.
+"""
 
 
 def command(presets: Presets = "fast,accurate,learned", device: DeviceName = None, out: Out = None) -> None:

@@ -64,7 +64,7 @@ def test_the_second_pixel_of_a_blurred_outline_goes_only_if_that_is_clear(share:
     matched = np.where(np.arange(10) >= 3, 1.0, -1.0) * np.ones((9, 1))
     device = open_device("warp", "cpu")
     out = device.zeros((9, 10))
-    boundaries = Boundaries(Arena(device), MatchingConfig(), (9, 10), step=0.5)
+    boundaries = Boundaries(Arena(device), tuning.ACCURATE.boundaries, (9, 10), step=0.5, contrast=lambda: 0.005)
     boundaries.run(device.image(np.sqrt(light)), device.field(matched), out)
     want = np.where(np.arange(10) >= (5 if goes else 4), 1.0, -1.0) * np.ones((9, 1))
     np.testing.assert_allclose(device.kernels.numpy(out), want, atol=1e-6)
@@ -80,7 +80,12 @@ def hiding(surface: np.ndarray, costs: np.ndarray) -> np.ndarray:
     ones = kernels.field(np.ones(surface.shape), "cpu")
     disparities = Disparities(FAR, STEEP, COUNT)
     guesses = GuessedSurfaces(
-        Arena(Device(kernels, "cpu")), surface.shape, share=0.3, disparities=disparities, tolerance=0.3, ones=ones
+        Arena(Device(kernels, "cpu")),
+        surface.shape,
+        share=0.3,
+        disparities=lambda: disparities,
+        tolerance=0.3,
+        ones=ones,
     )
     out, volume = kernels.zeros(surface.shape, "cpu"), kernels.field(costs.astype(np.float32), "cpu")
     evidence, *unused = (kernels.zeros(surface.shape, "cpu") for _ in range(3))

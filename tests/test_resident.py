@@ -13,9 +13,12 @@ import pytest
 import lfgpu
 from benchmarks import call
 from lfgpu import scenes
+from lfgpu._backends import load
+from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
+from lfgpu.methods.matching import frame
 from lfgpu.methods.recycling import RecyclingDevice
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT, _return_memory, kept_memory, set_kept_memory
@@ -72,6 +75,29 @@ def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, 
     for lf, result in zip(fields, alone, strict=True):
         assert_equal(estimated(lf, target, config=config, disparity_range=given), result)
         assert len(KEPT._kept) == 1
+
+
+@pytest.mark.parametrize("config", ["fast", "accurate"])
+def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their ranges, numbers of disparities, noises and penalties differ; a capture is faked, as a CPU has none."""
+    fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005))]
+    alone = []
+    for lf in fields:
+        KEPT.free()
+        alone.append(lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False))
+    ranges = [result.disparity_range for result in alone]
+    assert len(set(ranges)) == len({result.status for result in alone}) == len(fields)
+    assert len({round(high - low, 1) for low, high in ranges}) > 1
+    KEPT.free()
+    monkeypatch.setitem(frame._ROOM, "gpu", 64)
+    made: list[str] = []
+    replan, kernels = DepthPipeline._replan, load()
+    monkeypatch.setattr(DepthPipeline, "_replan", lambda *given: (made.append("plan"), replan(*given)))
+    monkeypatch.setattr(kernels, "capture", lambda work, device: (made.append("graph"), work)[1])
+    monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))  # so that all stages run as one graph
+    for lf, result in zip((fields[0], *fields), (alone[0], *alone), strict=True):
+        assert_equal(lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False), result)
+    assert made == ["plan", "graph"]
 
 
 def test_a_plan_begins_with_clear_buffers() -> None:
@@ -208,5 +234,6 @@ def test_the_benchmark_of_calls_compares_maps_and_times_parts() -> None:
     assert [row["call"] for row in rows] == ["first", "same", "third", "other scene", "first again"]
     assert all(row["same map"] for row in rows)
     assert ["take" in row for row in rows] == [False, True, True, True, True]
-    assert ["plan" in row for row in rows] == [True, False, False, True, True]
+    assert ["numbers" in row for row in rows] == [False, False, False, True, True]
+    assert ["plan" in row for row in rows] == [True, False, False, False, False]
     assert len(call.table(rows).rows) == len(rows)

@@ -33,4 +33,4 @@ from .views import intensities, line_of_views, normalization
 name = "reference"
 compiles = False
 dtype = np.float64
-recording = None
+recording = changing = None

@@ -35,4 +35,4 @@ name = "taichi"
 compiles = True
 dtype = np.float32
 streaming = None
-recording = None
+recording = changing = None

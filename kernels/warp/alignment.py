@@ -19,6 +19,7 @@ from .memory import pixel_type
 from .native_code import kernel, names_of
 from .splat import as_offsets
 from .threads import launch_rows, once
+from .vector import given
 
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
@@ -71,8 +72,8 @@ class _Alignment:
         *,
         scale: float,
         gradient_weight: float,
-        contrast: float,
-        robust: float,
+        contrast: Any,
+        robust: Any,
         tolerance: float,
     ) -> None:
         self._shape, self._pairs = tuple(shape), as_offsets(offsets)
@@ -80,7 +81,7 @@ class _Alignment:
         share_of_all = 1 / (3 * shape[3] * max(others, 1))
         self._weighing = gradient_weight, contrast, GRADIENT_REACH
         self._weights = wp.empty(self._shape[1:3], dtype=float, device=offsets.device)
-        self._compared = [scale, robust, tolerance, share_of_all]
+        self._compared = [scale, *given(robust), tolerance, share_of_all]
         self._stored: Any = None
 
     def load(self, image: Any, recorded: Any, valid: Any) -> None:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from . import recording, streaming
+from . import changing, recording, streaming
 from .alignment import alignment
 from .boundaries import refine_boundaries
 from .choice import choose, compare_maps

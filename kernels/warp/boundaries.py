@@ -8,6 +8,7 @@ from lfgpu.contract import REACH
 
 from .memory import pixel_type
 from .threads import launch_rows, once
+from .vector import given, value_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -40,7 +41,8 @@ def _unmix_kernel(channels: int) -> Any:
         image: wp.array2d(dtype=pixel),
         disparity: wp.array2d(dtype=float),
         step: float,
-        contrast: float,
+        contrast_given: float,
+        contrast_there: wp.array(dtype=wp.float64),
         share: float,
         row: int,
         lanes: int,
@@ -48,6 +50,7 @@ def _unmix_kernel(channels: int) -> Any:
     ):
         i = wp.tid()
         y = row + i / lanes
+        contrast = value_of(contrast_given, contrast_there)
         for x in range(i % lanes, disparity.shape[1], lanes):
             here = disparity[y, x]
             result = here
@@ -120,6 +123,7 @@ def _unmix_kernel(channels: int) -> Any:
 
 
 def refine_boundaries(
-    image: Any, disparity: Any, *, step: float, contrast: float, share: float, disparity_out: Any
+    image: Any, disparity: Any, *, step: float, contrast: Any, share: float, disparity_out: Any
 ) -> None:
-    launch_rows(_unmix_kernel(image.dtype._length_), [image, disparity, step, contrast, share], disparity_out)
+    inputs = [image, disparity, step, *given(contrast), share]
+    launch_rows(_unmix_kernel(image.dtype._length_), inputs, disparity_out)

@@ -10,6 +10,7 @@ import warp as wp
 
 from .native_code import kernel
 from .threads import in_slices, launch, launch_rows, load, once, slices
+from .vector import given, value_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -54,8 +55,11 @@ def _line_mean_kernel() -> Any:
 def _evidence_kernel(
     volume: wp.array3d(dtype=float),
     path_costs: wp.array3d(dtype=float),
+    labels_given: float,
+    labels_there: wp.array(dtype=wp.float64),
     step: float,
-    unit: float,
+    unit_given: float,
+    unit_there: wp.array(dtype=wp.float64),
     row: int,
     lanes: int,
     conflict_out: wp.array2d(dtype=float),
@@ -64,7 +68,8 @@ def _evidence_kernel(
 ):
     i = wp.tid()
     y = row + i / lanes
-    count = volume.shape[0]
+    count = int(value_of(labels_given, labels_there))
+    unit = value_of(unit_given, unit_there)
     for x in range(i % lanes, volume.shape[2], lanes):
         least = volume[0, y, x]
         least_path = path_costs[0, y, x]
@@ -135,7 +140,8 @@ def _judge_kernel(
     relief: wp.array2d(dtype=float),
     wide: wp.array2d(dtype=float),
     cost: wp.array2d(dtype=float),
-    span: float,
+    span_given: float,
+    span_there: wp.array(dtype=wp.float64),
     share: _Weights,
     spread: _Weights,
     row: int,
@@ -145,6 +151,7 @@ def _judge_kernel(
 ):
     i = wp.tid()
     y = row + i / lanes
+    span = value_of(span_given, span_there)
     for x in range(i % lanes, conflict.shape[1], lanes):
         features = _Weights(1.0, conflict[y, x], evidence[y, x], bend[y, x], relief[y, x], bend[y, x] * relief[y, x])
         unknown = 0.5 * wp.pow(wp.min(wp.exp(-wide[y, x]) / span, 1.0), _BLIND)
@@ -159,13 +166,15 @@ def evidence(
     path_costs: Any,
     *,
     step: float,
-    unit: float,
+    unit: Any,
     conflict_out: Any,
     evidence_out: Any,
     cost_out: Any,
+    labels: Any = None,
 ) -> None:
     weigh = _cpu_kernel("weigh_evidence") if volume.device.is_cpu else _evidence_kernel
-    launch_rows(weigh, [volume, path_costs, step, unit], conflict_out, evidence_out, cost_out)
+    count = given(len(volume) if labels is None else labels)
+    launch_rows(weigh, [volume, path_costs, *count, step, *given(unit)], conflict_out, evidence_out, cost_out)
 
 
 def line_mean(values: Any, *, axis: int, reach: int, means_out: Any) -> None:
@@ -191,11 +200,11 @@ def unevenness(disparity: Any, *, bend_out: Any, relief_out: Any) -> None:
 def judge(
     maps: Sequence[Any],
     *,
-    span: float,
+    span: Any,
     share: Sequence[float],
     spread: Sequence[float],
     confidence_out: Any,
     variance_out: Any,
 ) -> None:
-    inputs = [*maps, span, _Weights(*share), _Weights(*spread)]
+    inputs = [*maps, *given(span), _Weights(*share), _Weights(*spread)]
     launch_rows(_judge_kernel, inputs, confidence_out, variance_out)

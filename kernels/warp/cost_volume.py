@@ -8,6 +8,7 @@ from lfgpu.contract import REDUCTION
 
 from .native_code import kernel
 from .threads import in_slices, launch, launch_rows, load, once, slices
+from .vector import given
 
 _BLOCK = 32  # columns that a CPU works on at a time
 _SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
@@ -64,6 +65,7 @@ def least_costs(volume: Any, *, least_out: Any) -> None:
     launch_rows(_minimum_kernel("find_least", _BLOCK if volume.device.is_cpu else 1), [volume], least_out)
 
 
-def winner_takes_all(volume: Any, *, first: float, step: float, disparity_out: Any) -> None:
+def winner_takes_all(volume: Any, *, first: Any, step: float, disparity_out: Any, labels: Any = None) -> None:
     find = _minimum_kernel("find_lowest", _BLOCK if volume.device.is_cpu else 1)
-    launch_rows(find, [volume, first, step], disparity_out)
+    count = given(len(volume) if labels is None else labels)
+    launch_rows(find, [volume, *count, *given(first), step], disparity_out)

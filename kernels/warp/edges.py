@@ -5,6 +5,7 @@ from typing import Any
 from .memory import pixel_type
 from .native_code import kernel
 from .threads import launch_rows, once
+from .vector import given
 
 
 @once
@@ -14,10 +15,11 @@ def _kernel(channels: int, reach: int, on_cpu: bool) -> Any:
     return kernel(file, "weigh_edges", module=module, Pixel=pixel_type(channels), CHANNELS=channels, REACH=reach)
 
 
-def weigh_edges(image: Any, weight: float, contrast: float, reach: int, weights_out: Any) -> None:
+def weigh_edges(image: Any, weight: float, contrast: Any, reach: int, weights_out: Any) -> None:
     """`weight` times `edge_weights`."""
-    launch_rows(_kernel(image.dtype._length_, reach, image.device.is_cpu), [image, weight, contrast], weights_out)
+    weigh = _kernel(image.dtype._length_, reach, image.device.is_cpu)
+    launch_rows(weigh, [image, weight, *given(contrast)], weights_out)
 
 
-def edge_weights(image: Any, *, contrast: float, reach: int, weights_out: Any) -> None:
+def edge_weights(image: Any, *, contrast: Any, reach: int, weights_out: Any) -> None:
     weigh_edges(image, 1.0, contrast, reach, weights_out)

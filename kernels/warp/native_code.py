@@ -2,7 +2,8 @@
 
 Warp takes the body of a function and a typed stub, and nothing around them. So for a function of a file
 
-- its arguments become those of the stub, with Warp's types;
+- its arguments become those of the stub, with Warp's types; a `Number` becomes a number and a scalar on the device,
+  which holds it if there is one;
 - what its body uses of the file, and of the files that this includes, stands before it: constants as they are, `inline`
   functions as lambdas;
 - what it is specialised for is defined around it for the preprocessor.
@@ -87,7 +88,10 @@ def _annotations(arguments: str, types: dict[str, Any]) -> Iterator[tuple[str, A
     for argument in arguments.split(","):
         match = _ARGUMENT.fullmatch(argument.strip())
         assert match is not None, f"{argument.strip()!r} is no argument that Warp can give"
-        if match["element"]:
+        if match["type"] == "Number":
+            yield f"{match['name']}_given", float
+            yield f"{match['name']}_there", wp.array(dtype=wp.float64)
+        elif match["element"]:
             yield match["name"], wp.array(dtype=type_of(match["element"]), ndim=int(match["dimensions"]))
         else:
             yield match["name"], type_of(match["type"])
@@ -130,8 +134,11 @@ def function(file: str, name: str, **given: Any) -> Any:
     types, numbers = _split(given)
     arguments = _parts(file)[name].arguments
     assert arguments is not None, f"{name} is for other functions of {file}"
+    named = re.findall(r"\bNumber (\w+)", arguments)
+    read = "".join(f"    const float {n} = {n}_there.data ? (float){n}_there.data[0] : {n}_given;\n" for n in named)
     stub = _defined(name, dict(_annotations(arguments, types)), "...", {})
-    return wp.func_native(_assembled(file, name, numbers))(stub)
+    body = _assembled(file, name, numbers)
+    return wp.func_native(f"{read}{{\n{body}}}\n" if read else body)(stub)
 
 
 def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] | None = None, **given: Any) -> Any:

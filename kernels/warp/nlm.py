@@ -27,13 +27,18 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
     @wp.kernel(module=module, enable_backward=False)
     def features_kernel(
         image: wp.array2d(dtype=pixel),
-        color: float,
+        color_given: float,
+        sigma: wp.array(dtype=wp.float64),
+        root: wp.float64,
         gradient: float,
         row: int,
         lanes: int,
         features_out: wp.array2d(dtype=feature),
     ):
         """Colour and its central differences in x and y, times `color` and `gradient`."""
+        color = color_given
+        if sigma:
+            color = float(wp.float64(1.0) / (sigma[0] * root))
         i = wp.tid()
         y = row + i / lanes
         lane = i % lanes
@@ -96,13 +101,18 @@ def _cpu_kernels(channels: int) -> SimpleNamespace:
     @wp.kernel(module=module, enable_backward=False)
     def features_kernel(
         image: wp.array2d(dtype=pixel),
-        color: float,
+        color_given: float,
+        sigma: wp.array(dtype=wp.float64),
+        root: wp.float64,
         gradient: float,
         row: int,
         lanes: int,
         features_out: wp.array3d(dtype=float),
     ):
         """Colour and its central differences in x and y, times `color` and `gradient`, as planes."""
+        color = color_given
+        if sigma:
+            color = float(wp.float64(1.0) / (sigma[0] * root))
         y = row + wp.tid()
         height = image.shape[0]
         width = image.shape[1]
@@ -182,7 +192,7 @@ def nlm_weights(
     *,
     window: int,
     patch: int,
-    sigma_color: float,
+    sigma_color: Any,
     sigma_gradient: float,
     floor: float,
     over_patch: OverPatch = "mean",
@@ -205,7 +215,8 @@ def nlm_weights(
             in_slices(place, len(steps), some_neighbors)
 
         return weigh_by_patches
-    color, gradient = 1 / (sigma_color * channels**0.5), 1 / (sigma_gradient * channels**0.5)
+    root, gradient = channels**0.5, 1 / (sigma_gradient * channels**0.5)
+    color = [0.0, sigma_color, root] if isinstance(sigma_color, wp.array) else [1 / (sigma_color * root), None, root]
     if place.is_cpu:
         return _CpuWeights(
             (height, width, channels),
@@ -222,7 +233,7 @@ def nlm_weights(
     check_size(threads)
 
     def weigh(image: Any, weights_out: Any) -> None:
-        launch_rows(kernels.features, [image, color, gradient], features)
+        launch_rows(kernels.features, [image, *color, gradient], features)
         inputs = [features, steps, floor, is_mean]
         launch(_tile_kernel(channels, patch // 2), threads, inputs, [weights_out], device=place, block_dim=block)
 
@@ -238,14 +249,14 @@ class _CpuWeights:
         steps: Any,
         *,
         patch: int,
-        color: float,
+        color: list[Any],
         gradient: float,
         floor: float,
         is_mean: bool,
     ) -> None:
         height, width, channels = shape
         self._kernels, self._steps = _cpu_kernels(channels), steps
-        self._factors, self._numbers = [color, gradient], [patch // 2, floor, int(is_mean)]
+        self._factors, self._numbers = [*color, gradient], [patch // 2, floor, int(is_mean)]
         self._features = wp.empty((3 * channels, height, width), dtype=float, device="cpu")
         size = width + 2 * (patch // 2) + (1 + patch) * width
         self._room = wp.empty((len(slices(steps.device, len(steps))), size), dtype=float, device="cpu")

@@ -7,6 +7,7 @@ import warp as wp
 from .native_code import kernel
 from .nlm import launch_pixels, window_on
 from .threads import launch_rows, once
+from .vector import given
 
 wp.set_module_options({"enable_backward": False})
 
@@ -29,14 +30,14 @@ def nlm_ratio(
     *,
     window: int,
     support: float,
-    floor: float,
+    floor: Any,
     ratio_out: Any,
 ) -> None:
-    device, fields = guide.device, [weights, guide, numerator, denominator]
+    device, fields, numbers = guide.device, [weights, guide, numerator, denominator], [support, *given(floor)]
     if device.is_cpu:
-        launch_rows(_cpu_kernel("divide_sums"), [*fields, window_on(window, device.alias), support, floor], ratio_out)
+        launch_rows(_cpu_kernel("divide_sums"), [*fields, window_on(window, device.alias), *numbers], ratio_out)
     else:
-        launch_pixels(_gpu_kernel("divide_sums", window // 2), [*fields, support, floor], window, ratio_out)
+        launch_pixels(_gpu_kernel("divide_sums", window // 2), [*fields, *numbers], window, ratio_out)
 
 
 def nlm_plane(

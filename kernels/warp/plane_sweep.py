@@ -18,10 +18,12 @@ from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
 from .threads import flat, in_slices, launch, load, slices
+from .vector import given
 
 wp.set_module_options({"enable_backward": False})
 
 _LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
+_OUTSIDE = 2.0**24  # pixels: a shift with which no view shows anything
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
@@ -34,22 +36,31 @@ class _PlaneSweep:
         self._shape, self._device, self._scale = tuple(shape), offsets.device, scale
         self._least, self._preference = float(views.least), views.preference
         places, belongs = offsets.numpy(), view_sets.numpy() != 0
-        self._view_sets, self._count = len(belongs), disparities.count
+        self._view_sets, self._count, self._tolerance = len(belongs), disparities.slices, views.tolerance
         bits = np.left_shift(np.uint32(1), np.arange(len(belongs), dtype=np.uint32))
         members = (belongs * bits[:, None]).sum(0, dtype=np.uint32)
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.argsort(members[others], kind="stable")]
-        shifts = sweep_shifts(places[others], disparities)
-        deepest = disparities.first + disparities.step * np.arange(disparities.count) + views.tolerance
-        whole = np.floor(shifts)
-        self._groups = max(1, len(np.unique(members[others])))
-        self._farthest = int(np.abs(whole[..., 0]).max(initial=0))
+        self._groups, self._places = max(1, len(np.unique(members[others]))), places[others]
         self._order = self._array(others.astype(np.int32), int)
         self._members = self._array(members[others].view(np.int32), int)
         self._together = self._array(np.ones(len(others), np.int32), int)
-        self._shifts = self._array(np.concatenate([whole, shifts - whole], axis=2).astype(np.float32), wp.vec4f)
-        self._deepest = self._array(deepest.astype(np.float32), float)
+        self._shifts = wp.empty((self._count, len(others)), dtype=wp.vec4f, device=self._device)
+        self._deepest = wp.empty(self._count, dtype=float, device=self._device)
         self._stored: Any = None
+        self.move(disparities)
+
+    def move(self, disparities: Disparities) -> None:
+        shifts = sweep_shifts(self._places, disparities)
+        whole = np.floor(shifts)
+        self._farthest = int(np.abs(whole[..., 0]).max(initial=0))
+        if self._device.is_cpu:
+            self._stored = None  # what lies beside the views depends on how far they are shifted
+        rest = ((0, self._count - disparities.count), (0, 0), (0, 0))
+        shifts = np.pad(np.concatenate([whole, shifts - whole], axis=2), rest, constant_values=_OUTSIDE)
+        self._shifts.assign(shifts.astype(np.float32))
+        deepest = disparities.first + disparities.step * np.arange(self._count) + self._tolerance
+        self._deepest.assign(deepest.astype(np.float32))
 
     def _array(self, values: NDArray[Any], dtype: Any) -> Any:
         return wp.array(values, dtype=dtype, device=self._device)
@@ -109,9 +120,9 @@ class _PlaneSweep:
         """`members` says of each view in which view sets it is; `counts` are those of groups of views and of sets."""
         _, height, width, channels = self._shape
         groups, sets = counts
-        gradients, rooted = cost.gradient_weight > 0, cost.softness > 0
-        numbers = [self._scale, cost.truncation, cost.gradient_weight, cost.gradient_truncation, cost.softness]
-        numbers.append(self._preference)
+        gradients, rooted = cost.gradient_weight > 0, isinstance(cost.softness, wp.array) or cost.softness > 0
+        numbers = [self._scale, cost.truncation, cost.gradient_weight, cost.gradient_truncation]
+        numbers += [*given(cost.softness), self._preference]
         if not self._device.is_cpu:
             seen = nearest is not None
             if seen:

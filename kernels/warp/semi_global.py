@@ -12,6 +12,7 @@ import warp as wp
 from .memory import pixel_type
 from .native_code import kernel
 from .threads import check_size, in_slices, is_preparing, launch, load, once, slices, with_wide_vectors
+from .vector import given
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
 _BLOCK = 64  # paths that a CPU follows together, a multiple of the chunk
@@ -54,13 +55,13 @@ def _turn_kernel() -> Any:
 
 
 def semi_global(
-    volume: Any, image: Any, penalty_scale: Any, *, small: float, large: float, contrast: float, sum_out: Any
+    volume: Any, image: Any, penalty_scale: Any, *, small: Any, large: Any, contrast: float, sum_out: Any
 ) -> None:
     if not volume.device.is_cpu:
-        _on_gpu(volume, [image, penalty_scale, small, large, contrast], sum_out)
+        _on_gpu(volume, [image, penalty_scale, *given(small), *given(large), contrast], sum_out)
         return
     for k, (dy, dx) in enumerate(_DIRECTIONS):
-        inputs = [volume, image, penalty_scale, small, large, contrast, dy, dx, k > 0]
+        inputs = [volume, image, penalty_scale, *given(small), *given(large), contrast, dy, dx, k > 0]
         _on_cpu(inputs, image.dtype._length_, dy, dx, sum_out)
 
 

@@ -13,6 +13,7 @@ from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
 from .memory import pixel_type
 from .native_code import kernel
 from .threads import check_size, in_slices, lanes, launch, load, once, slices
+from .vector import given
 
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
 _TILE = (16, 32)  # rows and columns of a block on a GPU
@@ -55,13 +56,13 @@ def _reduce_kernel(channels: int, stored: Any) -> Any:
     return kernel("smoothing.h", "reduce_rows", module=module, **types, **numbers)
 
 
-def smooth_views(views: Any, valid: Any, *, scale: float, deviation: float, views_out: Any) -> None:
+def smooth_views(views: Any, valid: Any, *, scale: float, deviation: Any, views_out: Any) -> None:
     (n, height, width), device = views.shape, views.device
     channels, stored = views.dtype._length_, views.dtype._wp_scalar_type_
     if device.is_cuda:
         dim = n * -(-height // _TILE[0]) * -(-width // _TILE[1]) * _THREADS
         check_size(dim)
-        inputs = [views, valid, scale, deviation]
+        inputs = [views, valid, scale, *given(deviation)]
         launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=_THREADS)
         return
     rows = _rows_kernel(channels, stored)
@@ -71,7 +72,7 @@ def smooth_views(views: Any, valid: Any, *, scale: float, deviation: float, view
     room = wp.zeros((len(slices(device, n * height)), per_slice), dtype=float, device=device)
 
     def some_rows(part: int, first: int, last: int) -> None:
-        inputs = [views, valid, scale, deviation, first, last, room[part]]
+        inputs = [views, valid, scale, *given(deviation), first, last, room[part]]
         launch(rows, 1, inputs, [views_out], device=device)
 
     in_slices(device, n * height, some_rows)

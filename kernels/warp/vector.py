@@ -85,9 +85,16 @@ def _at_least_kernel(x: wp.array(dtype=float), threshold: float, x_out: wp.array
 
 
 @wp.kernel
-def _clamp_kernel(x: wp.array(dtype=float), low: float, high: float, x_out: wp.array(dtype=float)):
+def _clamp_kernel(
+    low: float,
+    low_scalar: wp.array(dtype=wp.float64),
+    x: wp.array(dtype=float),
+    high: float,
+    high_scalar: wp.array(dtype=wp.float64),
+    x_out: wp.array(dtype=float),
+):
     i = wp.tid()
-    x_out[i] = wp.clamp(x[i], low, high)
+    x_out[i] = wp.clamp(x[i], value_of(low, low_scalar), value_of(high, high_scalar))
 
 
 @wp.kernel
@@ -163,7 +170,7 @@ def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
     if y_out.dtype is wp.float64:
         _launch(_axpby_scalar_kernel, [alpha, x, beta, y], y_out)
         return
-    inputs = [*_number_or_scalar(alpha), flat(x), *_number_or_scalar(beta), flat(y)]
+    inputs = [*given(alpha), flat(x), *given(beta), flat(y)]
     if y_out.device.is_cpu:
         _launch_for_each("axpby", "a * xs[i] + b * ys[i]", inputs, y_out)
     else:
@@ -186,7 +193,7 @@ def divide(x: Any, y: Any, quotient_out: Any) -> None:
 
 
 def fill(value: Any, x_out: Any) -> None:
-    _launch(_fill_kernel, [*_number_or_scalar(value)], x_out)
+    _launch(_fill_kernel, [*given(value)], x_out)
 
 
 def select(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
@@ -197,15 +204,16 @@ def threshold(x: Any, threshold: float, x_out: Any) -> None:
     _launch(_at_least_kernel, [flat(x), threshold], x_out)
 
 
-def clamp(x: Any, low: float, high: float, x_out: Any) -> None:
+def clamp(x: Any, low: Any, high: Any, x_out: Any) -> None:
+    inputs = [*given(low), flat(x), *given(high)]
     if x_out.device.is_cpu:
-        inputs = [low, None, flat(x), high, None, flat(x)]
-        _launch_for_each("clamp", "wp::clamp(xs[i], a, b)", inputs, x_out)
+        _launch_for_each("clamp", "wp::clamp(xs[i], a, b)", [*inputs, flat(x)], x_out)
     else:
-        _launch(_clamp_kernel, [flat(x), low, high], x_out)
+        _launch(_clamp_kernel, inputs, x_out)
 
 
-def _number_or_scalar(value: Any) -> tuple[float, Any]:
+def given(value: Any) -> tuple[float, Any]:
+    """Return the two arguments that a `Number` is: what is given, and the scalar on the device that holds it."""
     return (0.0, value) if isinstance(value, wp.array) else (float(value), None)
 
 

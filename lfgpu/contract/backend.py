@@ -4,6 +4,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from lfgpu.contract.changing import Changing
 from lfgpu.contract.control import Control, Recording
 from lfgpu.contract.images import Images
 from lfgpu.contract.learned import Learned
@@ -48,6 +49,10 @@ class KernelSet(
     @property
     def streaming(self) -> Streaming | None:
         """Frames and maps on their way while the device works; None if the backend has no streams."""
+
+    @property
+    def changing(self) -> Changing | None:
+        """Numbers that change while work stays captured; None if the backend takes plain numbers only."""
 
     @property
     def recording(self) -> Recording | None:

@@ -18,11 +18,21 @@ REACH = 3
 
 @dataclass(frozen=True)
 class Disparities:
-    """Disparities d_l = first + l * step, l < count, pixels per view step."""
+    """Disparities d_l = first + l * step, l < count, pixels per view step.
+
+    Volumes have room for `slices` of them. Where there are more than disparities, the further ones cost the most there
+    is (`Changing`).
+    """
 
     first: float
     step: float
     count: int
+    room: int = 0
+
+    @property
+    def slices(self) -> int:
+        """The slices of volumes."""
+        return max(self.count, self.room)
 
 
 @dataclass(frozen=True)

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lfgpu.contract import Array, Device
+from lfgpu.contract import Array, Device, Scalar
+
+_MOST_NUMBERS = 64  # of a plan
 
 _Kind = tuple[tuple[int, ...], str]
 
@@ -21,10 +23,15 @@ class Arena:
     lent to a pass while the pass is constructed, and the pass may use it during its calls only. Passes whose scopes
     follow one another share it. A pass that calls another pass while its scratch holds something constructs that pass
     inside its own scope: nested scopes share nothing.
+
+    If it `follows`, its numbers are scalars on the device where the backend has these, and `follow` changes them.
     """
 
-    def __init__(self, device: Device) -> None:
+    def __init__(self, device: Device, *, follows: bool = False) -> None:
         self.device, self.kernels = device, device.kernels
+        self.changing = device.kernels.changing if follows else None
+        self._numbers = None if self.changing is None else self.changing.numbers(_MOST_NUMBERS, device.name)
+        self._values: list[Callable[[], float]] = []
         self._named: dict[str, tuple[_Kind, Array]] = {}
         self._free: dict[_Kind, list[Array]] = {}
         self._scopes: list[list[tuple[_Kind, Array]]] = []
@@ -43,6 +50,18 @@ class Arena:
         if name not in self._named:
             self._named[name] = kind, self.device.field(values)
         return self._kept(name, kind)
+
+    def number(self, value: Callable[[], float]) -> float | Scalar:
+        """Return a number that follows what was measured, which `value` computes."""
+        if self._numbers is None:
+            return value()
+        self._values.append(value)
+        return self._numbers.scalars[len(self._values) - 1]
+
+    def follow(self) -> None:
+        """Compute all numbers anew."""
+        if self._numbers is not None:
+            self._numbers.change([value() for value in self._values])
 
     @contextmanager
     def scratch(self) -> Iterator[Scratch]:

@@ -59,6 +59,9 @@ class Plan(Protocol):
     decided: str
     """The stage after which `check` can tell whether the run finds an estimate."""
 
+    def follow(self, measured: Measured) -> bool:
+        """Go on with what was measured on other views; tell whether that is possible. If not, the plan is used up."""
+
     def stages(self, views: Array) -> dict[str, Work]:
         """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
 
@@ -68,8 +71,8 @@ class Plan(Protocol):
     def is_finite(self) -> bool:
         """Tell whether all numbers of the last run were finite; waits for the device."""
 
-    def maps(self) -> dict[str, Float32Array]:
-        """Copy the map after each stage to the host, float32 [y, x] by name, NaN where it is undefined."""
+    def maps(self, *stages: str) -> dict[str, Float32Array]:
+        """Copy the map after each stage, or some, to the host, float32 [y, x] by name, NaN where it is undefined."""
 
     def uncertainty(self) -> Float32Array | None:
         """Standard deviation of the disparity, float32 [y, x], None if the method has none; waits for the device."""

@@ -13,7 +13,7 @@ class NonLocalMeans:
     """The weights w_pq between pixels of a neighbourhood, computed from a reference image, and their operators.
 
     The weights and the workspace to compute them take window² floats per pixel. `over_patch` and `gradients` are their
-    forms (`lfgpu.contract.NlmWeights`).
+    forms (`lfgpu.contract.NlmWeights`). A `sigma_color` takes the place of that of the parameters.
     """
 
     def __init__(
@@ -24,6 +24,7 @@ class NonLocalMeans:
         *,
         over_patch: OverPatch = "mean",
         gradients: PatchGradients = "central",
+        sigma_color: float | Scalar | None = None,
     ) -> None:
         kernels = device.kernels
         self.kernels, self.device, self.window = kernels, device, config.window
@@ -34,7 +35,7 @@ class NonLocalMeans:
             device.name,
             window=config.window,
             patch=config.patch,
-            sigma_color=config.sigma_color,
+            sigma_color=config.sigma_color if sigma_color is None else sigma_color,
             sigma_gradient=config.sigma_gradient,
             floor=config.floor,
             over_patch=over_patch,

@@ -148,7 +148,7 @@ class DepthPipeline:
             self.kernels.upload(lf.views, self._front.frame, chosen=self._used)
             found = measured or self._measure(disparity_range)
             if found != self.measured:
-                self._replan(found)
+                self._follow_measured(found)
 
     def let_go(self) -> int:
         """Let go of the light field, until the pipeline takes another; returns the bytes that stay, about."""
@@ -315,10 +315,10 @@ class DepthPipeline:
             with self._device.asking():
                 work()
             self.kernels.number(self._waited_for)
-        first, plan = self.method.MATCHED, self._plan
+        first, measured = self.method.MATCHED, self.measured
         if first is not None and self._runs == 0:
             self._widen(first, None)
-        if self._plan is not plan:
+        if self.measured is not measured:
             self._follow([stage for stage in self.stages() if stage != first], None)
 
     def confirm_range(self) -> tuple[str, ...]:
@@ -409,12 +409,19 @@ class DepthPipeline:
 
         def match(bounds: tuple[float, float]) -> Float32Array:
             with self._timed("measure"), self._device.asking():
-                self._replan(self.method.measured(self._lf, bounds, self._device))
+                self._follow_measured(self.method.measured(self._lf, bounds, self._device))
             self._do(stage, on_progress)
-            return self._plan.maps()[stage]
+            return self._plan.maps(stage)[stage]
 
-        doubt = confirm(self._lf.layout, self.bounds, self._plan.maps()[stage], match)
+        doubt = confirm(self._lf.layout, self.bounds, self._plan.maps(stage)[stage], match)
         self._notes = () if doubt is None else (doubt,)
+
+    def _follow_measured(self, measured: Measured) -> None:
+        """Have the plan, and its graph, go on with other numbers if it can, else plan anew in the same memory."""
+        if hasattr(self, "_plan") and self._plan.follow(measured):
+            self.measured = measured
+        else:
+            self._replan(measured)
 
     def _replan(self, measured: Measured) -> None:
         self.measured = measured
@@ -435,7 +442,7 @@ class DepthPipeline:
             self._is_found, self._timings = is_found, timings
             if self.measured is not measured:
                 with self._device.asking():
-                    self._replan(measured)
+                    self._follow_measured(measured)
             raise
 
     def _map(self, field: Array) -> Float32Array:

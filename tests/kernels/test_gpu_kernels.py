@@ -17,7 +17,12 @@ import pytest
 import warp as wp
 from test_matrix import CELLS, INPUTS, cell
 
-from lfgpu.contract import KernelSet
+from lfgpu import scenes
+from lfgpu._backends import open_device
+from lfgpu.contract import Device, KernelSet
+from lfgpu.data.lightfield import LightField
+from lfgpu.methods import configured, method_of
+from lfgpu.methods.matching import frame
 from lfgpu.methods.synthesis import model
 from tests import printed
 
@@ -61,6 +66,31 @@ def gpu() -> Iterator[KernelSet]:
 def test_operation_equals_the_reference(gpu: KernelSet, operation: checks.Operation, case: Any) -> None:
     inputs, want = cell(f"{operation}-{case}")
     checks.check_value(gpu, "cpu", operation, inputs, case.tolerance, want)
+
+
+@pytest.mark.parametrize("preset", ["fast", "accurate"])
+def test_a_plan_follows_other_numbers(gpu: KernelSet, preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With scalars in place of numbers, and room for more disparities, maps are those of a plan of its own."""
+    one, other = (scenes.make("relief", grid=(3, 5), size=(40, 48), seed=s, noise=0.01 / s) for s in (1, 2))
+    method, place = method_of(configured(preset)), Device(gpu, "cpu")
+    measured = [method.measure(lf, open_device("warp", "cpu")) for lf in (one, other)]
+    assert measured[0].disparity_range != measured[1].disparity_range
+    assert measured[0].noise != measured[1].noise
+
+    def maps(plan: Any, lf: LightField) -> list[Any]:
+        for work in plan.stages(place.image(lf.views[used])).values():
+            work(None)
+        return [*plan.maps().values(), gpu.numpy(plan.confidence), plan.uncertainty()]
+
+    used = method.used_views(one.offsets)
+    layout = one.layout.subset(used)
+    want = maps(method.plan(layout, measured[1], place), other)
+    monkeypatch.setitem(frame._ROOM, "cpu", 64)
+    plan = method.plan(layout, measured[0], place)
+    maps(plan, one)
+    assert plan.follow(measured[1])
+    for found, alone in zip(maps(plan, other), want, strict=True):
+        np.testing.assert_array_equal(found, alone)
 
 
 BATCHES = (

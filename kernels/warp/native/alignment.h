@@ -8,7 +8,7 @@
 // Curvature and slope of the squared differences of a row.
 void align(
     int tid, Array2<Pixel> image, Array2<float> weights, Array3<Kept> views, Array1<vec2f> offsets, float scale,
-    float robust, float tolerance, float share_of_all, Array2<float> disparity, Array3<float> nearest, int line,
+    Number robust, float tolerance, float share_of_all, Array2<float> disparity, Array3<float> nearest, int line,
     int lanes, Array2<float> curvature_out, Array2<float> slope_out) {
     const int y = line + tid / lanes;
     constexpr int CHUNK = 128;

@@ -5,9 +5,9 @@
 
 // The evidence of a row, from its costs and its path costs.
 void weigh_evidence(
-    int tid, Array3<float> volume, Array3<float> path_costs, float step, float unit, int row, int lanes,
-    Array2<float> conflict_out, Array2<float> evidence_out, Array2<float> cost_out) {
-    const int width = volume.shape[2], count = volume.shape[0], y = row + tid;
+    int tid, Array3<float> volume, Array3<float> path_costs, Number labels, float step, Number unit, int row,
+    int lanes, Array2<float> conflict_out, Array2<float> evidence_out, Array2<float> cost_out) {
+    const int width = volume.shape[2], count = (int)labels, y = row + tid;
     const size_t size = (size_t)volume.shape[1] * width;
     for (int x = 0; x < width; x += BLOCK) {
         const int columns = width - x < BLOCK ? width - x : BLOCK;

@@ -113,8 +113,9 @@ void find_least(int tid, Array3<float> volume, int row, int lanes, Array2<float>
 
 // The disparity of the least cost, by a parabola through it and its neighbours.
 void find_lowest(
-    int tid, Array3<float> volume, float first, float step, int row, int lanes, Array2<float> disparity_out) {
-    const int width = volume.shape[2], count = volume.shape[0];
+    int tid, Array3<float> volume, Number labels, Number first, float step, int row, int lanes,
+    Array2<float> disparity_out) {
+    const int width = volume.shape[2], count = (int)labels;
     const size_t size = (size_t)volume.shape[1] * width;
     const int y = row + tid / lanes;
     for (int x = tid % lanes * BLOCK; x < width; x += lanes * BLOCK) {

@@ -4,7 +4,7 @@
 
 // A pixel.
 void weigh_edges(
-    int tid, Array2<Pixel> image, float weight, float contrast, int row, int lanes, Array2<float> weights_out) {
+    int tid, Array2<Pixel> image, float weight, Number contrast, int row, int lanes, Array2<float> weights_out) {
     const int height = image.shape[0], width = image.shape[1], y = row + tid / lanes, x = tid % lanes;
     const int left = max(x - REACH, 0), right = min(x + REACH, width - 1);
     const int top = max(y - REACH, 0), bottom = min(y + REACH, height - 1);

@@ -4,7 +4,7 @@
 
 // A row.
 void weigh_edges(
-    int tid, Array2<Pixel> image, float weight, float contrast, int row, int lanes, Array2<float> weights_out) {
+    int tid, Array2<Pixel> image, float weight, Number contrast, int row, int lanes, Array2<float> weights_out) {
     const int y = row + tid / lanes;
     constexpr int ROOM = 256, MOST = ROOM - 2 * REACH;
     const int height = image.shape[0], width = image.shape[1];

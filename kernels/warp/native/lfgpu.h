@@ -9,6 +9,7 @@ template <typename T> using Array1 = wp::array_t<T>;
 template <typename T> using Array2 = wp::array_t<T>;
 template <typename T> using Array3 = wp::array_t<T>;
 template <typename T> using Array4 = wp::array_t<T>;
+using Number = float;  // given by Python, or a scalar on the device
 using wp::uint16;
 using wp::uint32;
 using wp::vec2f;

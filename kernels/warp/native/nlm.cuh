@@ -105,7 +105,7 @@ inline void for_neighbors(const auto& weights, int y, int x, int dy, int height,
 // A ratio of sums whose weights also depend on a guide.
 void divide_sums(
     int tid, Array3<float> weights, Array2<float> guide, Array2<float> numerator, Array2<float> denominator,
-    float support, float floor, Array2<float> ratio_out) {
+    float support, Number floor, Array2<float> ratio_out) {
     // A block has a warp for each row of the half window, and all its warps the same 32 pixels.
     const int block = tid / (32 * (RADIUS + 1)), thread = tid - block * 32 * (RADIUS + 1);
     const int dy = thread / 32, lane = thread - dy * 32;

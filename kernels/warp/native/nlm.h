@@ -101,7 +101,7 @@ inline void for_neighbors(const auto& weights, const auto& steps, int y, int beg
 // A ratio of sums whose weights also depend on a guide; a row goes in chunks, whose sums lie on the stack.
 void divide_sums(
     int tid, Array3<float> weights, Array2<float> guide, Array2<float> numerator, Array2<float> denominator,
-    Array1<vec2i> half_window, float support, float floor, int line, int lanes, Array2<float> ratio_out) {
+    Array1<vec2i> half_window, float support, Number floor, int line, int lanes, Array2<float> ratio_out) {
     constexpr int CHUNK = 128;
     const int width = weights.shape[2], y = line + tid, row = y * width;
     const float weaken = 1.f / (support * support);

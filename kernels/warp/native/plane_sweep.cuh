@@ -38,7 +38,7 @@ void mark(int tid, Array1<Kept> views, Array1<float> nearest, Array1<float> limi
 void sweep_strip(
     int tid, Array3<Kept> views, Array2<Pixel> image, Array3<uint16> marks, Array1<int> order, Array1<int> members,
     Array2<vec4f> shifts, float scale, float truncation, float gradient_weight, float gradient_truncation,
-    float softness, float preference, float least, Array3<float> volume_out) {
+    Number softness, float preference, float least, Array3<float> volume_out) {
     const int height = image.shape[0], width = image.shape[1], count = order.shape[0];
     const int columns = (width + COLUMNS - 1) / COLUMNS, strips = (height + STRIP - 1) / STRIP;
     const int thread = tid, lane = thread & 31, block = thread / BLOCK;

@@ -31,7 +31,7 @@ void keep_view(int tid, Array3<Stored> views, int margin, Array4<Kept> kept_out)
 void sweep_rows(
     Array4<Kept> views, int margin, Array3<float> image, Array3<float> valid, Array3<float> nearest, Array1<int> order,
     Array1<int> members, int groups, Array2<vec4f> shifts, Array1<float> limits, int view_sets, float scale,
-    float truncation, float gradient_weight, float gradient_truncation, float softness, float preference, float least,
+    float truncation, float gradient_weight, float gradient_truncation, Number softness, float preference, float least,
     int first, int last, Array1<float> room, Array3<float> volume_out) {
     #pragma clang fp contract(fast)
     const int height = image.shape[1], width = image.shape[2] - LANES, views_there = order.shape[0];

@@ -90,7 +90,7 @@ void follow_path(int tid, Array3<float> volume, Array1<float> steps_to, int firs
 
 // What a change by one, and by more, costs at a pixel in all directions; nothing that begins a path changes.
 void find_step_costs(
-    int tid, Array2<Pixel> image, Array2<float> scale, float small, float large, float contrast, int width,
+    int tid, Array2<Pixel> image, Array2<float> scale, Number small, Number large, float contrast, int width,
     Array1<float> steps_to_out) {
     constexpr int downwards[] = {DOWNWARDS}, sideways[] = {SIDEWAYS};
     const int height = image.shape[0], p = tid, y = p / width, x = p - y * width;

@@ -7,7 +7,7 @@
 // Paths that lie side by side are followed together, pixel by pixel. A path has cost nothing before it begins: then the
 // formula of its further pixels gives the first one's costs as they are.
 void follow_blocks(
-    Array3<float> volume, Array2<Pixel> image, Array2<float> scale, float small, float large, float contrast, int dy,
+    Array3<float> volume, Array2<Pixel> image, Array2<float> scale, Number small, Number large, float contrast, int dy,
     int dx, bool adds, int first, int last, Array1<float> room, Array3<float> sum_out) {
     // What a change by one, and by more, costs between two pixels.
     auto step_costs = [&](int p, int q, float& small_out, float& large_out) {

@@ -10,7 +10,7 @@ inline unsigned short stored(float value) {
 
 // Smooth a tile of a view: a block has it, and what is around it, in shared memory.
 void smooth_tile(
-    int tid, Array3<Stored> views, Array3<float> valid, float scale, float deviation, Array3<Smoothed> views_out) {
+    int tid, Array3<Stored> views, Array3<float> valid, float scale, Number deviation, Array3<Smoothed> views_out) {
     const int block = tid / THREADS, thread = tid - block * THREADS;
     const int rows = (views.shape[1] + ROWS - 1) / ROWS, columns = (views.shape[2] + COLUMNS - 1) / COLUMNS;
     const int n = block / (rows * columns), tile = block - n * rows * columns;

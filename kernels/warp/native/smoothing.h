@@ -13,7 +13,7 @@ inline unsigned short stored(float value) {
 // A thread goes down the rows of a view and keeps the last few, channel by channel, in rings; what is done to a row is
 // then what vector units do.
 void smooth_rows(
-    Array3<Stored> views, Array3<float> valid, float scale, float deviation, int first, int last, Array1<float> room,
+    Array3<Stored> views, Array3<float> valid, float scale, Number deviation, int first, int last, Array1<float> room,
     Array3<Smoothed> views_out) {
     typedef float Some __attribute__((ext_vector_type(LANES)));
     typedef float Anywhere __attribute__((ext_vector_type(LANES), aligned(4)));

@@ -26,22 +26,27 @@ class SemiGlobal(Aggregation):
     def __init__(self, views: SweptViews, *, at_edges: bool) -> None:
         frame, config = views.frame, views.frame.config
         self._frame, self._kernels, self._prior = frame, frame.kernels, frame.prior
-        tuning, penalties = config.tuning.semi_global, config.semi_global
+        tuning = config.tuning.semi_global
         # Costs of the nearer surface reach as far into its corners as they are averaged; maps need more against noise.
         self._near = frame.like_pixels(tuning.window)
         factor, self._contrast = 1.0, tuning.contrast
         if not at_edges:
             factor, self._contrast = tuning.resweep_factor, tuning.resweep_contrast
-        self._small, self._large = penalties.small_penalty, factor * penalties.large_penalty
-        self._noise, self._most_noisy = noise_cost(config), tuning.most_noisy
-        self._costs = frame.arena.field("averaged costs", (frame.disparities.count, *frame.size))
-        self.evidence = self._costs, frame.arena.field("costs", (frame.disparities.count, *frame.size))
+        number, most_noisy = frame.arena.number, tuning.most_noisy
+        self._small = number(lambda: frame.config.semi_global.small_penalty)
+        self._large = number(lambda: factor * frame.config.semi_global.large_penalty)
+        self._noise, self._most_noisy = number(lambda: noise_cost(frame.config)), most_noisy
+        self._least = number(lambda: noise_cost(frame.config) / most_noisy)
+        self._most = number(lambda: noise_cost(frame.config) * most_noisy**2)
+        self._first = number(lambda: frame.disparities.first)
+        self._costs = frame.arena.field("averaged costs", (frame.disparities.slices, *frame.size))
+        self.evidence = self._costs, frame.arena.field("costs", (frame.disparities.slices, *frame.size))
         with frame.arena.scratch() as scratch:
             self._penalty_scale, self._workspace = scratch.fields(2, frame.size)
 
     def __call__(self, swept: Swept, disparity_out: Array) -> None:
         """See `Aggregation`. The sums over paths overwrite the volume."""
-        volume, disparities = swept.volume, self._frame.disparities
+        volume, step = swept.volume, self._frame.disparities.step
         assert volume is not None
         self._near.average(volume, self._costs)
         self._scale_penalties()
@@ -57,7 +62,7 @@ class SemiGlobal(Aggregation):
             sum_out=volume,
         )
         self._kernels.winner_takes_all(
-            volume, first=disparities.first, step=disparities.step, disparity_out=disparity_out
+            volume, first=self._first, step=step, disparity_out=disparity_out, **self._frame.labels
         )
 
     def _scale_penalties(self) -> None:
@@ -70,7 +75,7 @@ class SemiGlobal(Aggregation):
         kernels, noise, scale, workspace = self._kernels, self._noise, self._penalty_scale, self._workspace
         ones = self._prior.ones
         kernels.least_costs(self._costs, least_out=scale)
-        kernels.clamp(scale, noise / self._most_noisy, noise * self._most_noisy**2, scale)
+        kernels.clamp(scale, self._least, self._most, scale)
         kernels.divide(ones, scale, scale)
         self._prior.mean(scale, workspace)
         kernels.axpby(noise, workspace, 0.0, workspace, workspace)
@@ -127,3 +132,6 @@ AGGREGATIONS: Mapping[str, Callable[[SweptViews], Aggregation]] = {
     "learned": Learned,
 }
 """Aggregations by name, each planned for the views of a sweep."""
+
+FOLLOWING = "semi-global, cut at edges", "semi-global"
+"""Aggregations whose numbers are all the arena's: a plan goes on with another range and noise."""

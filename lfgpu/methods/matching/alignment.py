@@ -23,9 +23,12 @@ class Alignment:
 
     def __init__(self, frame: Frame) -> None:
         arena, config = frame.arena, frame.config
-        self._frame, self._kernels, self._prior, self._bounds = frame, frame.kernels, frame.prior, frame.bounds
-        self._tuning, self._farthest = config.tuning.alignment, frame.layout.farthest
+        self._frame, self._kernels, self._prior = frame, frame.kernels, frame.prior
+        self._bounds, self._farthest = (frame.low, frame.high), frame.layout.farthest
+        self._tuning = tuning = config.tuning.alignment
         self._reach = self._tuning.reach * frame.disparities.step
+        self._floor = arena.number(lambda: tuning.least_curvature * frame.config.tuning.alignment.robust**2)
+        self._stiffness = arena.number(lambda: tuning.stiffness * frame.config.tuning.alignment.robust**2)
         self._last = _Step(frame, frame.layout)
         self._first = self._last
         if frame.compared_layout is not frame.layout:
@@ -62,8 +65,9 @@ class Alignment:
             step(map_out, self.curvature, self._slope)
             if variance is not None:
                 self._hold(matched, map_out)
-            floor = tuning.least_curvature * tuning.robust**2
-            self._prior.ratio(map_out, self._slope, self.curvature, support=support, floor=floor, ratio_out=workspace)
+            self._prior.ratio(
+                map_out, self._slope, self.curvature, support=support, floor=self._floor, ratio_out=workspace
+            )
             kernels.clamp(workspace, -longest, longest, workspace)
             kernels.dot(workspace, workspace, moved)
             kernels.axpby(1.0, map_out, 1.0, workspace, map_out)
@@ -112,7 +116,7 @@ class Alignment:
     def _weigh_texture(self) -> None:
         """certainty = curvature / (curvature + stiffness) + a little, so that means exist where nothing is certain."""
         kernels, tuning, ones = self._kernels, self._tuning, self._prior.ones
-        kernels.axpby(1.0, self.curvature, tuning.stiffness * tuning.robust**2, ones, self._certainty)
+        kernels.axpby(1.0, self.curvature, self._stiffness, ones, self._certainty)
         kernels.divide(self.curvature, self._certainty, self._certainty)
         kernels.axpby(1.0, self._certainty, tuning.still, ones, self._certainty)
 
@@ -132,8 +136,8 @@ class _Step:
             self._offsets,
             scale=layout.scale,
             gradient_weight=tuning.alignment.gradient_weight,
-            contrast=tuning.alignment.contrast,
-            robust=tuning.alignment.robust,
+            contrast=arena.number(lambda: frame.config.tuning.alignment.contrast),
+            robust=arena.number(lambda: frame.config.tuning.alignment.robust),
             tolerance=tuning.sweep.tolerance / frame.layout.farthest,
         )
         with arena.scratch() as scratch:

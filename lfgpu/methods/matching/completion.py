@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
-from lfgpu.contract import Array, half_window
+from lfgpu.contract import Array, Scalar, half_window
 from lfgpu.data.windows import window_min
 from lfgpu.methods.arena import Arena
-from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.config import HoleFillingConfig
 from lfgpu.methods.matching.frame import Frame
+from lfgpu.methods.matching.tuning import BoundariesTuning
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.solvers.cg import ConjugateGradients
 
@@ -16,11 +19,19 @@ from lfgpu.solvers.cg import ConjugateGradients
 class Boundaries:
     """Two passes over the pixels at depth edges, differences of a `step`: blurred outlines run through two pixels."""
 
-    def __init__(self, arena: Arena, config: MatchingConfig, size: tuple[int, int], *, step: float) -> None:
-        tuning, contrast = config.tuning.boundaries, config.boundaries.contrast
+    def __init__(
+        self,
+        arena: Arena,
+        tuning: BoundariesTuning,
+        size: tuple[int, int],
+        *,
+        step: float,
+        contrast: Callable[[], float],
+    ) -> None:
         self._kernels, self._step = arena.kernels, step
-        self._first = tuning.share, contrast
-        self._second = tuning.second_share * tuning.share, tuning.second_contrast * contrast
+        self._first = tuning.share, arena.number(contrast)
+        second = arena.number(lambda: tuning.second_contrast * contrast())
+        self._second = tuning.second_share * tuning.share, second
         with arena.scratch() as scratch:
             self._once = scratch.field(size)
 
@@ -29,7 +40,7 @@ class Boundaries:
         self._pass(image, disparity, self._first, self._once)
         self._pass(image, self._once, self._second, disparity_out)
 
-    def _pass(self, image: Array, disparity: Array, limits: tuple[float, float], disparity_out: Array) -> None:
+    def _pass(self, image: Array, disparity: Array, limits: tuple[float, float | Scalar], disparity_out: Array) -> None:
         share, contrast = limits
         self._kernels.refine_boundaries(
             image, disparity, step=self._step, contrast=contrast, share=share, disparity_out=disparity_out
@@ -53,15 +64,15 @@ class HoleFilling:
         arena: Arena,
         size: tuple[int, int],
         prior: NonLocalMeans,
-        config: MatchingConfig,
+        config: HoleFillingConfig,
         *,
         support: float,
+        held: Callable[[], float],
+        tolerance: float,
         keeps_prior: bool,
     ) -> None:
-        tuning = config.tuning
         self._prior, self._kernels, self._support = prior, arena.kernels, support
-        self.held = tuning.hole_filling.stiffness * tuning.alignment.robust**2
-        """The curvature at which a pixel's own estimate counts as much as one similar neighbour."""
+        self._per_held = arena.number(lambda: 1 / held())
         shape = len(half_window(prior.window)), *size
         self._weights = arena.field("weights on surfaces", shape) if keeps_prior else prior.weights
         self._certainty, self._target, self._inverse = (
@@ -70,14 +81,14 @@ class HoleFilling:
         self._solver = ConjugateGradients(
             size,
             arena.device,
-            tolerance=tuning.hole_filling.tolerance,
-            max_iterations=config.hole_filling.max_iterations,
+            tolerance=tolerance,
+            max_iterations=config.max_iterations,
         )
 
     def run(self, disparity: Array, curvature: Array) -> None:
         """Improve a map [y, x] in place; `curvature` [y, x] is that of the alignment."""
         k, prior, ones = self._kernels, self._prior, self._prior.ones
-        k.axpby(1 / self.held, curvature, 0.0, curvature, self._certainty)
+        k.axpby(self._per_held, curvature, 0.0, curvature, self._certainty)
         k.clamp(self._certainty, _LEAST, _MOST, self._certainty)
         k.nlm_on_surface(
             prior.weights, disparity, window=prior.window, support=self._support, weights_out=self._weights
@@ -100,16 +111,35 @@ class Completion:
 
     def __init__(self, frame: Frame, *, keeps_prior: bool) -> None:
         arena, config, farthest, tuning = frame.arena, frame.config, frame.layout.farthest, frame.config.tuning
-        self._kernels, self._image, self._bounds = frame.kernels, frame.image, frame.bounds
-        self._boundaries = Boundaries(arena, config, frame.size, step=tuning.boundaries.step / farthest)
-        support = tuning.alignment.support / farthest
-        self._filling = HoleFilling(arena, frame.size, frame.prior, config, support=support, keeps_prior=keeps_prior)
+        self._kernels, self._image, self._bounds = frame.kernels, frame.image, (frame.low, frame.high)
+        self._boundaries = Boundaries(
+            arena,
+            tuning.boundaries,
+            frame.size,
+            step=tuning.boundaries.step / farthest,
+            contrast=lambda: frame.config.boundaries.contrast,
+        )
+
+        def held() -> float:
+            """Return the curvature at which a pixel's own estimate counts as much as one similar neighbour."""
+            return tuning.hole_filling.stiffness * frame.config.tuning.alignment.robust**2
+
+        self._filling = HoleFilling(
+            arena,
+            frame.size,
+            frame.prior,
+            config.hole_filling,
+            support=tuning.alignment.support / farthest,
+            held=held,
+            tolerance=tuning.hole_filling.tolerance,
+            keeps_prior=keeps_prior,
+        )
         self._alike = None
         if frame.known.mask is not None:
             # A patch that holds an unknown pixel is like no other patch: the pixel in its middle stays as it is.
             alike = window_min(frame.known.mask, tuning.prior.patch)
             self._alike = arena.constant("alike", alike)
-            self._held = arena.constant("held", np.full(frame.size, self._filling.held))
+            self._held = arena.constant("held", np.full(frame.size, held()))
 
     def run(self, aligned: Array, curvature: Array, disparity_out: Array) -> None:
         """Complete an aligned map [y, x] with the curvature [y, x] of the alignment, which may change."""

@@ -12,7 +12,7 @@ from lfgpu.contract import REDUCTION, WHITE, Array, SweepCost, ViewSets
 from lfgpu.methods.matching.base import Cost
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.disparities import view_sets
-from lfgpu.methods.matching.frame import SweptViews
+from lfgpu.methods.matching.frame import Frame, SweptViews
 from lfgpu.methods.prior import UNLIKE_ANY
 
 _BESIDE = 1  # reduced pixels from an edge that are beside it
@@ -35,7 +35,7 @@ class ReducedViews:
         self._views = arena.image("reduced views", small.shape, np.uint16)
         self._image = arena.image("reduced image", small.shape[1:])
         self._valid = arena.field("reduced masks", small.shape[:3])
-        self._volume = arena.field("reduced costs", (frame.disparities.count, *small.size))
+        self._volume = arena.field("reduced costs", (frame.disparities.slices, *small.size))
         sets = ViewSets(
             device.field(small.offsets),
             device.field(view_sets(small.offsets, tuning.view_set_angle)),
@@ -44,6 +44,7 @@ class ReducedViews:
             least=1,
         )
         self._sweep = frame.kernels.plane_sweep(small.shape, sets, frame.disparities, scale=1 / WHITE)
+        frame.moving.append(self._sweep)
         views.on_load(self._load)
 
     def _load(self, _: Array, views: Array, valid: Array | None) -> None:
@@ -126,9 +127,20 @@ def noise_cost(config: MatchingConfig) -> float:
     return 2 * s * noise * (math.sqrt(1 + 1 / s) - 1) if s else noise
 
 
+def _followed(frame: Frame, cost: Callable[[MatchingConfig], SweepCost]) -> SweepCost:
+    """Return a cost whose softness follows the noise."""
+    planned = cost(frame.config)
+    return (
+        replace(planned, softness=frame.arena.number(lambda: softness(frame.config))) if planned.softness else planned
+    )
+
+
 COSTS: Mapping[str, Callable[[SweptViews], Cost]] = {
-    "gradients, reduced views": lambda views: WithReducedViews(views, first_cost(views.frame.config)),
-    "intensities": lambda views: PlaneSweepCost(views, middle_cost(views.frame.config)),
-    "few gradients": lambda views: PlaneSweepCost(views, last_cost(views.frame.config)),
+    "gradients, reduced views": lambda views: WithReducedViews(views, _followed(views.frame, first_cost)),
+    "intensities": lambda views: PlaneSweepCost(views, _followed(views.frame, middle_cost)),
+    "few gradients": lambda views: PlaneSweepCost(views, _followed(views.frame, last_cost)),
 }
 """Costs by name, each planned for the views of a sweep."""
+
+FOLLOWING = "gradients, reduced views", "intensities", "few gradients"
+"""Costs whose numbers are all the arena's: a plan goes on with another noise."""

@@ -18,8 +18,12 @@ _PADDING = 2  # disparities beyond either bound that the network compares: it wa
 _FEWEST = 3  # a minimum between two disparities is found from three
 
 
-def compared_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
+def compared_disparities(
+    bounds: tuple[float, float], farthest: float, config: SweepConfig, *, multiple: int = 1
+) -> Disparities:
     """Choose the disparities that are compared: odd halves of a step that cover the bounds.
+
+    Volumes have room for a `multiple` of so many.
 
     A step is `config.step` pixels in the farthest view, or as long as it takes for `config.max_labels` disparities. The
     outermost disparities are on a bound or less than a step beyond it: maps are clamped, so surfaces beyond a bound end
@@ -29,7 +33,8 @@ def compared_disparities(bounds: tuple[float, float], farthest: float, config: S
     low, high = bounds
     step = max(config.step / farthest, (high - low) / (config.max_labels - 2))
     begin, end = math.floor(low / step - 0.5 + _ON_BOUND), math.ceil(high / step - 0.5 - _ON_BOUND)
-    return Disparities((begin + 0.5) * step, step, max(end - begin + 1, _FEWEST))
+    count = max(end - begin + 1, _FEWEST)
+    return Disparities((begin + 0.5) * step, step, count, count + -count % multiple)
 
 
 def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:

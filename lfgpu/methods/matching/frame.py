@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,8 @@ from lfgpu.methods.matching.disparities import compared_disparities, view_sets
 from lfgpu.methods.matching.views import VIEWS, ChosenViews
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.methods.sections import PriorConfig
+
+_ROOM = {"cpu": 1, "gpu": 8}  # disparities: volumes have room for a multiple, so that light fields share captured work
 
 
 class KnownPixels:
@@ -76,8 +79,16 @@ class Frame:
         layout, image = chosen.used, (*chosen.used.size, chosen.used.channels)
         self.arena, self.kernels, self.config, self.bounds = arena, arena.kernels, config, bounds
         self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
-        self.disparities = compared_disparities(bounds, layout.farthest, config.sweep)
+        self._multiple = 1 if arena.changing is None else _ROOM["gpu" if arena.device.is_gpu else "cpu"]
+        self.disparities = compared_disparities(bounds, layout.farthest, config.sweep, multiple=self._multiple)
         """The disparities that sweeps compare."""
+        self.moving: list[PlaneSweep] = []
+        """The plane sweeps over these."""
+        self.low, self.high = (arena.number(partial(lambda end: self.bounds[end], end)) for end in (0, 1))
+        self.labels: dict[str, Any] = {}
+        """The number of the disparities, where volumes may have room for more; see `Changing`."""
+        if arena.changing is not None:
+            self.labels["labels"] = arena.number(lambda: self.disparities.count)
         self.known = KnownPixels(arena, layout)
         """The pixels that the reference view recorded."""
         self.is_masked = masked or layout.masks is not None
@@ -88,7 +99,8 @@ class Frame:
         self.scale, self.compared_image = layout.scale, self.image
         self._given = Selection(self, "used views", chosen.given, layout, layout.dtype)
         self._thinned = Selection(self, "compared views", chosen.chosen, chosen.compared, layout.dtype)
-        self._deviation, self._stored = deviation, layout.dtype
+        self._smoothing, self._stored = deviation, layout.dtype
+        self._deviation = None if deviation is None else arena.number(lambda: self._smoothing or 0.0)
         if deviation is not None:
             self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
             self._stored = np.dtype(np.uint16)
@@ -103,6 +115,21 @@ class Frame:
         """The compared views, as stored."""
         self.compared: Loaded
         """The compared views, smoothed if they have grain; `scale` turns their values into intensities."""
+
+    def follow(self, bounds: tuple[float, float], config: MatchingConfig, *, deviation: float | None) -> bool:
+        """Go on with other bounds, and parameters and smoothing for another noise; tell whether that is possible."""
+        own, multiple = self.disparities, self._multiple
+        disparities = compared_disparities(bounds, self.layout.farthest, config.sweep, multiple=multiple)
+        fits = 0 <= own.slices - disparities.slices < 2 * multiple - 1  # at most one multiple is wasted
+        if disparities.step != own.step or not fits or (deviation is None) != (self._smoothing is None):
+            return False
+        disparities = replace(disparities, room=own.slices)
+        self.bounds, self.config, self.disparities, self._smoothing = bounds, config, disparities, deviation
+        self.arena.follow()
+        if (changing := self.arena.changing) is not None:
+            for sweep in self.moving:
+                changing.move(sweep, disparities)
+        return True
 
     def load(self, views: Array) -> None:
         """Take all views [n, y, x, c] of a frame, as stored."""
@@ -130,7 +157,8 @@ class Frame:
         if window not in self._priors:
             tuning, shape = self.config.tuning.prior, (*self.size, self.layout.channels)
             prior = PriorConfig(window, tuning.patch, tuning.sigma_color, tuning.sigma_gradient, tuning.floor)
-            self._priors[window] = NonLocalMeans(shape, prior, self.arena.device)
+            sigma = self.arena.number(lambda: self.config.tuning.prior.sigma_color)
+            self._priors[window] = NonLocalMeans(shape, prior, self.arena.device, sigma_color=sigma)
         return self._priors[window]
 
     @property
@@ -198,6 +226,7 @@ class SweptViews:
             least=max(1, math.ceil(tuning.min_share * (len(offsets) - 1))),
         )
         sweep = frame.kernels.plane_sweep(self.layout.shape, views, frame.disparities, scale=frame.scale)
+        frame.moving.append(sweep)
         self.on_load(sweep.load)
         return sweep
 

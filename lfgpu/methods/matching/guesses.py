@@ -7,6 +7,7 @@ pixels would hide the wall from nearly all views, and after a few sweeps they wo
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 from lfgpu.contract import Array, Disparities
 from lfgpu.methods.arena import Arena
@@ -38,12 +39,12 @@ class GuessedSurfaces:
         size: tuple[int, int],
         *,
         share: float,
-        disparities: Disparities,
+        disparities: Callable[[], Disparities],
         tolerance: float,
         ones: Array,
     ) -> None:
         self._kernels, self._ones, self._zeros = arena.kernels, ones, arena.field("zeros", size)
-        self._most_evidence = -math.log(share * disparities.count * disparities.step)
+        self._least_width = arena.number(lambda: math.log(share * disparities().count * disparities().step))
         self._least_relief = math.log(max(tolerance, _LEAST))
         with arena.scratch() as scratch:
             self._line, *self._fields = scratch.fields(5, size)
@@ -60,7 +61,7 @@ class GuessedSurfaces:
         k, ones, (clear, relief, _) = self._kernels, self._ones, workspace
         k.unevenness(surface, bend_out=clear, relief_out=relief)
         k.copy(evidence, clear)
-        k.axpby(-self._most_evidence, ones, 1.0, clear, clear)
+        k.axpby(self._least_width, ones, 1.0, clear, clear)
         k.axpby(1.0, relief, -self._least_relief, ones, relief)
         k.select(relief, ones, self._zeros, relief)
         k.select(clear, self._zeros, relief, relief)

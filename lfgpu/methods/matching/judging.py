@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from lfgpu.contract import Array, Float32Array
-from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching import trust
 from lfgpu.methods.matching.base import square_mean
+from lfgpu.methods.matching.costs import noise_cost
+from lfgpu.methods.matching.frame import Frame
 
 FEATURES = ("conflict", "evidence", "bend", "relief", "wide", "cost")
 """The maps on which confidence and variance depend, in the order of `KernelSet.judge`."""
@@ -24,21 +25,17 @@ def kind_of(resweeps: int) -> str:
 class Judging:
     """The confidence of a map, and its variance.
 
-    `kind` is a key of the weights in `trust.py` (`kind_of`), `unit` the cost of a difference as large as the noise.
+    `kind` is a key of the weights in `trust.py` (`kind_of`).
     """
 
-    def __init__(
-        self,
-        arena: Arena,
-        size: tuple[int, int],
-        *,
-        kind: str,
-        bounds: tuple[float, float],
-        step: float,
-        unit: float,
-    ) -> None:
+    def __init__(self, frame: Frame, *, kind: str) -> None:
+        arena, size = frame.arena, frame.size
         self.kernels, self._share, self._spread = arena.kernels, trust.SHARE[kind], trust.SPREAD[kind]
-        self._span, self._step, self._unit = bounds[1] - bounds[0], step, unit
+        self._step, self._labels = frame.disparities.step, frame.labels
+        self._span = arena.number(lambda: frame.bounds[1] - frame.bounds[0])
+        # Nothing is less certain than a disparity that may be anywhere between the bounds.
+        self._most = arena.number(lambda: (frame.bounds[1] - frame.bounds[0]) ** 2 / 12)
+        self._unit = arena.number(lambda: noise_cost(frame.config))
         self.variance = arena.field("variance", size)
         """The variance of the disparity [y, x], (pixels per view step)²."""
         with arena.scratch() as scratch:
@@ -84,8 +81,7 @@ class Judging:
             confidence_out=confidence_out,
             variance_out=self.variance,
         )
-        # Nothing is less certain than a disparity that may be anywhere between the bounds.
-        k.clamp(self.variance, 0.0, self._span**2 / 12, self.variance)
+        k.clamp(self.variance, 0.0, self._most, self.variance)
 
     def features(self) -> dict[str, Float32Array]:
         """Copy the six maps of the last run to the host, float32 [y, x] by name; they last until another pass runs."""
@@ -105,4 +101,5 @@ class Judging:
             conflict_out=conflict,
             evidence_out=evidence,
             cost_out=cost,
+            **self._labels,
         )

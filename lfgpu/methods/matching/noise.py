@@ -108,7 +108,7 @@ def measured_noise(
         deviation=deviation,
     )
     views = frame.swept("all")
-    cost, volume = PlaneSweepCost(views, first_cost(config)), device.zeros((frame.disparities.count, *lf.size))
+    cost, volume = PlaneSweepCost(views, first_cost(config)), device.zeros((frame.disparities.slices, *lf.size))
     frame.load(device.image(lf.views))
     views.load()
     cost.by_view_sets(volume)
@@ -116,7 +116,8 @@ def measured_noise(
     kernels.least_costs(volume, least_out=least)
     kernels.axpby(-1.0, volume, 0.0, volume, volume)
     kernels.least_costs(volume, least_out=negative)
-    costs, spread = kernels.numpy(least), -kernels.numpy(negative) - kernels.numpy(least)
+    costs = kernels.numpy(least)
+    spread = -kernels.numpy(negative) - costs
     return float(np.median(costs[spread >= np.median(spread)]))
 
 

@@ -13,10 +13,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 from lfgpu.contract import Array
+from lfgpu.methods.matching import aggregation, costs
 from lfgpu.methods.matching.aggregation import AGGREGATIONS
 from lfgpu.methods.matching.base import Cost, Swept
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.costs import COSTS, noise_cost
+from lfgpu.methods.matching.costs import COSTS
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.judging import Judging
@@ -71,6 +72,11 @@ def sweeps_of(config: MatchingConfig) -> tuple[Sweep, ...]:
     return (replace(first, views=config.tuning.sweep.first_views), *further)
 
 
+def follow(table: tuple[Sweep, ...]) -> bool:
+    """Tell whether all numbers of a table that depend on noise and range are the arena's (`Arena.number`)."""
+    return all(row.cost in costs.FOLLOWING and row.aggregation in aggregation.FOLLOWING for row in table)
+
+
 class PlannedSweep:
     """A row of the table for light fields of one kind, allocated."""
 
@@ -84,7 +90,7 @@ class PlannedSweep:
         self._volume: Array | None = None
         if not self.aggregation.has_own_costs:
             self._cost = self._views.cost(row.cost, COSTS[row.cost])
-            self._volume = arena.field("costs", (frame.disparities.count, *frame.size))
+            self._volume = arena.field("costs", (frame.disparities.slices, *frame.size))
 
     def __call__(
         self, surface: Array | None, disparity_out: Array, expect: Callable[[Array], None] | None = None
@@ -104,7 +110,7 @@ class Sweeps:
     """All sweeps of a table for light fields of one kind; `kind` is a key of the weights in `trust.py`."""
 
     def __init__(self, frame: Frame, *, kind: str) -> None:
-        arena, size, disparities = frame.arena, frame.size, frame.disparities
+        arena, size = frame.arena, frame.size
         config, tuning, bounds = frame.config, frame.config.tuning.sweep, frame.bounds
         self._frame, self._put_far = frame, frame.known.putting(bounds[0])  # an unknown pixel hides nothing
         first, *further = sweeps_of(config)
@@ -112,15 +118,13 @@ class Sweeps:
         self._guesses = None
         with arena.scratch() as scratch:
             self._hides, self._evidence = scratch.fields(2, size)
-            self.judging = Judging(
-                arena, size, kind=kind, bounds=bounds, step=disparities.step, unit=noise_cost(config)
-            )
+            self.judging = Judging(frame, kind=kind)
             if further and tuning.ambiguity < 1:
                 self._guesses = GuessedSurfaces(
                     arena,
                     size,
                     share=tuning.ambiguity,
-                    disparities=disparities,
+                    disparities=lambda: frame.disparities,
                     tolerance=tuning.tolerance / frame.layout.farthest,
                     ones=frame.prior.ones,
                 )

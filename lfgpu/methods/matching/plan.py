@@ -23,7 +23,7 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.judging import kind_of
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
-from lfgpu.methods.matching.passes import Sweeps
+from lfgpu.methods.matching.passes import Sweeps, follow, sweeps_of
 from lfgpu.methods.matching.views import are_around, chosen_views
 from lfgpu.methods.measured import Measured
 from lfgpu.solvers.solution import Solution
@@ -37,16 +37,16 @@ class MatchingPlan:
     """True if views may come with masks that the layout does not have, and maps are compared with those before."""
 
     def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
-        assert measured.noise is not None  # this method measures it
         kind = kind_of(config.sweep.resweeps)
-        self._noise = noise_of_views(measured.noise, measured.grain, config.sweep)
         chosen = chosen_views(layout, config.sweep.views)
         if not are_around(chosen.compared.offsets):  # a widened surface would hide what no view shows beside it
             config = replace(config, sweep=replace(config.sweep, resweeps=min(config.sweep.resweeps, 1)))
-        deviation = smoothing_deviation(measured.grain, config.sweep)
-        self._config = config = in_units_of(measured.noise, config, grain=measured.grain, exposure=measured.exposure)
-        self._arena, self._kernels = Arena(device), device.kernels
-        arena = self._arena
+        self._given, self._exposure = config, measured.exposure
+        self._config = config = self._in_units(measured)
+        # What unknown pixels hold does not follow, and streams keep what they measured first.
+        follows = layout.masks is None and not self.is_live and follow(sweeps_of(config))
+        self._arena = arena = Arena(device, follows=follows)
+        self._kernels, deviation = device.kernels, smoothing_deviation(measured.grain, config.sweep)
         self._frame = frame = Frame(
             arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.is_live
         )
@@ -61,6 +61,20 @@ class MatchingPlan:
         """`disparity` and `confidence` are the results, fields [y, x]."""
         self._matched = arena.field("matched", frame.size) if self._sweeps.are_several else self._swept
         self._steps = config.alignment.iterations
+        arena.follow()
+
+    def _in_units(self, measured: Measured) -> MatchingConfig:
+        """Return the parameters in units of a measured noise."""
+        assert measured.noise is not None  # this method measures it
+        self._noise = noise_of_views(measured.noise, measured.grain, self._given.sweep)
+        return in_units_of(measured.noise, self._given, grain=measured.grain, exposure=measured.exposure)
+
+    def follow(self, measured: Measured) -> bool:
+        """Go on with what was measured on other views; tell whether that is possible. If not, the plan is used up."""
+        if self._arena.changing is None or measured.exposure != self._exposure:
+            return False
+        config, deviation = self._in_units(measured), smoothing_deviation(measured.grain, self._given.sweep)
+        return self._frame.follow(measured.disparity_range, config, deviation=deviation)
 
     def stages(self, views: Array) -> dict[str, Work]:
         """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
@@ -79,11 +93,11 @@ class MatchingPlan:
         """Tell whether all numbers of the last run were finite; waits for the device."""
         return bool(np.isfinite(self._kernels.number(self._alignment.moves[0])))
 
-    def maps(self) -> dict[str, Float32Array]:
-        """Copy the map after each stage to the host, float32 [y, x] by name, NaN where it is undefined."""
+    def maps(self, *stages: str) -> dict[str, Float32Array]:
+        """Copy the map after each stage, or some, to the host, float32 [y, x] by name, NaN where it is undefined."""
         again = {"resweep": self._matched} if self._sweeps.are_several else {}
         kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
-        found = {name: self._kernels.numpy(field).astype(np.float32) for name, field in kept.items()}
+        found = {name: self._kernels.numpy(kept[name]).astype(np.float32) for name in stages or kept}
         return {name: self._frame.known.on_host(map_) for name, map_ in found.items()}
 
     def solution(self) -> Solution:

@@ -139,6 +139,10 @@ class SynthesisPlan:
             max_iterations=config.refinement.max_iterations,
         )
 
+    def follow(self, measured: Measured) -> bool:
+        """Return False: its numbers are constants of its operations."""
+        return False
+
     def stages(self, views: Array) -> dict[str, Work]:
         """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
         return {
@@ -159,7 +163,7 @@ class SynthesisPlan:
         """Tell whether all numbers of the last run were finite; waits for the device."""
         return bool(np.isfinite(self._refinement.report().trace[0]))
 
-    def maps(self) -> dict[str, Float32Array]:
+    def maps(self, *stages: str) -> dict[str, Float32Array]:
         """Copy the map after each stage to the host, float32 [y, x], NaN where it is undefined; waits for the device.
 
         Before them stand the local estimates from the row and from the column of views alone, each with its coherence,
@@ -171,12 +175,10 @@ class SynthesisPlan:
             found[f"local_{line}"] = np.where(coherence > 0, disparity, np.float32(np.nan))
             found[f"coherence_{line}"] = self._where_known(coherence)
         local, coherence = self._map(self._local.disparity), self._map(self._local.coherence)
-        return {
-            **found,
-            "local": np.where(coherence > 0, local, np.float32(np.nan)),
-            "propagate": self._where_known(self._map(self._propagation.filled)),
-            "refine": self._map(self.disparity),
-        }
+        found["local"] = np.where(coherence > 0, local, np.float32(np.nan))
+        found["propagate"] = self._where_known(self._map(self._propagation.filled))
+        found["refine"] = self._map(self.disparity)
+        return {stage: found[stage] for stage in stages or found}
 
     def _map(self, field: Array) -> Float32Array:
         return self._kernels.numpy(field).astype(np.float32, copy=False)
