@@ -4,6 +4,7 @@ A CPU works on some columns of a row at once, a thread of a GPU on one column.
 """
 
 from collections.abc import Sequence
+from itertools import accumulate
 from typing import Any
 
 import numpy as np
@@ -95,12 +96,13 @@ class _SideCosts:
         start()
         shifts = sweep_shifts(offsets, Disparities(first, step, count))
         sides = [side for line in lines for side in line]
-        views = np.concatenate([np.asarray(side, np.int64) for side in sides])
+        views = [int(view) for side in sides for view in side]
         self._reference, (_, self._height, self._width) = reference, shape
         self._sides, self._count = len(sides), len(shifts)
-        self._views = wp.array(views.astype(np.int32), dtype=int, device=device)
-        self._ends = wp.array(np.cumsum([0, *map(len, sides)], dtype=np.int32), dtype=int, device=device)
-        self._lines = wp.array(np.cumsum([0, *map(len, lines)], dtype=np.int32), dtype=int, device=device)
+        self._views = indices(tuple(views), device)
+        self._ends, self._lines = (
+            indices(tuple(accumulate(map(len, some), initial=0)), device) for some in (sides, lines)
+        )
         chosen = shifts[:, views]
         whole = np.floor(chosen)
         shift = np.concatenate([whole, chosen - whole], axis=2).astype(np.float32)

@@ -295,12 +295,12 @@ def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.int
     """
     height, width = disparity.shape
     padded = np.pad(disparity, 1, constant_values=np.inf)
-    known = np.isfinite(disparity)
+    finite = np.where(np.isfinite(padded), padded, np.float32(0))
     total, count = np.zeros(disparity.shape, np.float32), np.zeros(disparity.shape, np.int8)
     for dy, dx in np.ndindex(3, 3):
-        near = padded[dy : dy + height, dx : dx + width]
+        near = np.s_[dy : dy + height, dx : dx + width]
         with np.errstate(invalid="ignore"):  # infinite ones have no difference
-            same = known & (np.abs(near - disparity) <= tolerance)
-        np.add(total, near, out=total, where=same)
+            same = np.abs(padded[near] - disparity) <= tolerance
+        total += finite[near] * same
         count += same
     return np.maximum(count - 1, 0), (total / np.maximum(count, 1)).astype(np.float32)
