@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import warp as wp
-from numpy.typing import NDArray
 
 from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
@@ -19,6 +18,7 @@ from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
 from .threads import flat, in_slices, launch, load, slices
 from .vector import given
+from .views import indices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -42,9 +42,8 @@ class _PlaneSweep:
         others = np.flatnonzero(np.hypot(*places.T) > _LEAST_OFFSET)
         others = others[np.argsort(members[others], kind="stable")]
         self._groups, self._places = max(1, len(np.unique(members[others]))), places[others]
-        self._order = self._array(others.astype(np.int32), int)
-        self._members = self._array(members[others].view(np.int32), int)
-        self._together = self._array(np.ones(len(others), np.int32), int)
+        tables = others, members[others].view(np.int32), np.ones(len(others), np.int32)
+        self._order, self._members, self._together = (indices(tuple(t.tolist()), self._device.alias) for t in tables)
         self._shifts = wp.empty((self._count, len(others)), dtype=wp.vec4f, device=self._device)
         self._deepest = wp.empty(self._count, dtype=float, device=self._device)
         self._stored: Any = None
@@ -61,9 +60,6 @@ class _PlaneSweep:
         self._shifts.assign(shifts.astype(np.float32))
         deepest = disparities.first + disparities.step * np.arange(self._count) + self._tolerance
         self._deepest.assign(deepest.astype(np.float32))
-
-    def _array(self, values: NDArray[Any], dtype: Any) -> Any:
-        return wp.array(values, dtype=dtype, device=self._device)
 
     def load(self, image: Any, recorded: Any, valid: Any) -> None:
         stored = recorded.dtype._wp_scalar_type_
