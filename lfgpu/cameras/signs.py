@@ -118,11 +118,14 @@ def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: in
     bands = np.arange(lf.size[0]) // _BAND % part == part // 2
     known = known_pixels(lf, disparity) & bands[:, None]
     distance = np.hypot(*lf.offsets.T)
-    map_, (height, width) = disparity.ravel(), lf.size
+    map_, (height, width) = disparity.astype(np.float32, copy=False).ravel(), lf.size
     order = np.flatnonzero(known)
     image = np.zeros(height * width, np.float32)
     image[order] = grey_at(lf, lf.reference_index, order)
-    order = order[np.argsort(map_[order], kind="stable")].astype(np.int32)
+    # The farthest first: with all bits but the sign turned where it is set, floats are in the order of integers.
+    bits = map_[order].view(np.int32)
+    keys = np.sort((bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) << 32 | order)
+    order = (keys & 0xFFFFFFFF).astype(np.int32)
     d, (rows, columns) = map_[order], np.divmod(order, np.int32(width))
     side = max(lf.size) / _PARTS
     told, near, far = 0, np.zeros(_PARTS**2), np.zeros(_PARTS**2)
