@@ -156,8 +156,7 @@ def _later(home: str, name: str) -> Callable[..., Any]:
 
 
 _hooks.save = _later("lfgpu.io", "save")
-_hooks.html = _later("lfgpu.viz.notebook", "html")
-_hooks.explanation_html = _later("lfgpu.reports.report", "explanation_html")
+_hooks.html = _later("lfgpu.reports.notebook", "html")
 
 
 def __dir__() -> list[str]:

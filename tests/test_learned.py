@@ -2,6 +2,7 @@
 
 import json
 import pickle
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -336,9 +337,7 @@ def test_the_map_of_the_network_weighs_more_where_it_is_surer(scene: LightField)
 
 
 def test_training_says_what_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
-    refused(
-        lfgpu("train", "-o", tmp_path / "weights.npz"), "lfgpu train needs PyTorch, which is not installed; install"
-    )
+    monkeypatch.setitem(sys.modules, "torch", None)
+    refused(lfgpu("train", "-o", tmp_path / "weights.npz"), "lfgpu train needs torch, which is not installed; install")
     refused(lfgpu("train", "-o", tmp_path / "weights.pt"), "weights.pt must end in .npz")
     refused(lfgpu("train", "-o", tmp_path / "weights.npz", "--side", 50), "--side must be a multiple of 32, not 50")

@@ -1,5 +1,6 @@
 """Rendered views against the scene itself, refocused and all-in-focus images, and their files."""
 
+import sys
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -247,7 +248,8 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         write_frames(frames(), tmp_path / "a.avi")
     with pytest.raises(LightFieldError, match="frames per second"):
         write_frames(frames(), tmp_path / "a.gif", fps=0)
-    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    for library in ("imageio_ffmpeg", "tifffile"):
+        monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(LightFieldError, match=r"\.\[video\]"):
         write_frames(frames(), tmp_path / "a.mp4")
     with pytest.raises(LightFieldError, match=r"\.\[tiff\]"):

@@ -249,7 +249,7 @@ def test_cameras_of_opencv_that_cannot_be_used(opencv: types.ModuleType) -> None
 
 def test_opencv_that_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "cv2", None)
-    with pytest.raises(lfgpu.LightFieldError, match=r"needs OpenCV, which is not installed; .*\[opencv\]"):
+    with pytest.raises(lfgpu.LightFieldError, match=r"needs cv2, which is not installed; .*\[opencv\]"):
         open_source("opencv:0,1")
 
 

@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
@@ -183,25 +183,16 @@ def _angle_over_radius(plane: Float64Array) -> tuple[Float64Array, Float64Array]
 
 def turned(vector: ArrayLike) -> Float64Array:
     """Make the rotation [3, 3] about a vector [3] by its length in radians (Rodrigues)."""
-    v = np.asarray(vector, np.float64).ravel()
-    angle = float(np.linalg.norm(v))
-    if angle < 1e-12:
-        return np.eye(3)
-    x, y, z = v / angle
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)
+    from scipy.spatial.transform import Rotation  # slow to import, and needed for files and tests only
+
+    return np.asarray(Rotation.from_rotvec(np.ravel(vector)).as_matrix())
 
 
-def of_quaternion(w: float, x: float, y: float, z: float) -> NDArray[np.float64]:
+def of_quaternion(w: float, x: float, y: float, z: float) -> Float64Array:
     """Make the rotation [3, 3] of a quaternion of any length; LightFieldError if its length is 0."""
+    from scipy.spatial.transform import Rotation
+
     length = math.hypot(w, x, y, z)
     if not 0 < length < math.inf:
         raise LightFieldError(f"({w:g}, {x:g}, {y:g}, {z:g}) is the quaternion of no rotation; its length must be > 0.")
-    w, x, y, z = np.array([w, x, y, z]) / length
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return np.asarray(Rotation.from_quat(np.array((x, y, z, w)) / length).as_matrix())

@@ -8,14 +8,13 @@ of another scale, brighter. A fault of the camera has the same form all over a v
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, open_device
-from lfgpu.cameras.findings import Cameras
 from lfgpu.cameras.looking import FEWEST, Look, checked_map, look
 from lfgpu.cameras.points import known_pixels
 from lfgpu.contract import Device, Float32Array, Float64Array
@@ -30,8 +29,6 @@ _SOFTNESS, _SHARPNESS = 0.1, 30.0  # of the splat
 _COVERED = 0.5  # coverage from which a pixel of a view is predicted
 _AT_ONCE = 8  # views that are predicted together
 _WORSE = 1.03  # of the error with a constant disparity
-
-_UNITS = {"psnr": "_db", "shift": "_px", "shift_error": "_px", "rotation": "_deg", "rotation_error": "_deg"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,32 +97,7 @@ class Explanation(Look):
 
     def _repr_html_(self) -> str:
         """Return the HTML for notebooks."""
-        return hooks.explanation_html(self)
-
-    def as_dict(self) -> dict[str, Any]:
-        """Return all numbers but the map, for JSON; NaN and infinity are None."""
-
-        def plain(values: NDArray[Any]) -> Any:
-            return [plain(row) for row in values] if values.ndim else (float(values) if np.isfinite(values) else None)
-
-        names = ("psnr", "predicted", *(field.name for field in fields(Cameras)))
-        views = [
-            {
-                "position": plain(self.positions[n]),
-                **{f"{name}{_UNITS.get(name, '')}": plain(getattr(self, name)[n]) for name in names},
-            }
-            for n in range(len(self.positions))
-        ]
-        return {
-            "name": self.name,
-            "findings": list(self.findings),
-            "signs": self.signs,
-            "reference": self.reference,
-            "points": self.points,
-            "psnr_db": plain(np.asarray(self.mean_psnr)),
-            "misalignment_px": plain(np.asarray(self.misalignment)),
-            "views": views,
-        }
+        return hooks.html(self)
 
 
 def explain(

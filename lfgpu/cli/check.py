@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,11 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.cameras import Explanation
-    from lfgpu.cli.options import Estimation
     from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult, DisparityMap
-
-CHECK_FILE = "check.json"
 
 
 def check(
@@ -30,15 +25,6 @@ def check(
             metavar="[RESULT]",
             help="Output of `lfgpu depth`, or another map of the reference view.",
             show_default="estimated with the preset fast",
-        ),
-    ] = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "-o",
-            "--out",
-            metavar="FOLDER",
-            help="Also write check.json, a map of the unexplained part and residual pictures.",
         ),
     ] = None,
     *,
@@ -54,10 +40,8 @@ def check(
     """
     from lfgpu.cameras import explain
     from lfgpu.cli.console import output
-    from lfgpu.io import check_writable, load, one_map, read
+    from lfgpu.io import load, one_map, read
 
-    if out is not None:
-        check_writable(out)
     place = values.parse_reference_view(reference_view)
     options = reading.options()
     estimation = computing.estimation(values.configured("fast", ()))
@@ -69,13 +53,8 @@ def check(
         lf = lf.with_reference(lf.index_of(found.position[1], found.position[0]))
     judged = found or estimation.run(lf, quiet=quiet, check_cameras=False)
     explanation = explain(lf, judged, backend=estimation.backend, device=estimation.device)
-    files = [] if out is None else _write(out, lf, judged, explanation, estimation)
     if not quiet:
         _show(output(), lf, explanation)
-        if out is not None:
-            from lfgpu.cli.summary import show_outputs
-
-            show_outputs(output(), out, files)
 
 
 def _show(console: Console, lf: LightField, found: Explanation) -> None:
@@ -110,30 +89,3 @@ def _rms(numbers: object) -> float:
     import numpy as np
 
     return float(np.sqrt(np.nanmean(np.asarray(numbers, np.float64) ** 2)))
-
-
-def _write(
-    out: Path, lf: LightField, judged: DepthResult | DisparityMap, found: Explanation, estimation: Estimation
-) -> list[tuple[str, str]]:
-    """Write the numbers, the map of what is unexplained, and a residual picture of each view."""
-    import numpy as np
-
-    from lfgpu.cameras import residual_pictures
-    from lfgpu.io import atomic_folder, write_pfm
-    from lfgpu.io.png import quantised, write_png
-
-    with atomic_folder(out) as folder:
-        (folder / CHECK_FILE).write_text(json.dumps(found.as_dict(), indent=1), encoding="utf-8")
-        write_pfm(folder / "unexplained.pfm", found.unexplained)
-        pictures = residual_pictures(lf, judged, backend=estimation.backend, device=estimation.device)
-        (folder / "residuals").mkdir()
-        for index, picture in pictures:
-            # Grey is explained, brighter and darker are what the view shows more or less of, four times enlarged.
-            levels = np.where(np.isfinite(picture), np.clip(0.5 + 4 * picture, 0, 1), 0.5)
-            picture = quantised(levels.mean(2, keepdims=True), np.uint8)
-            write_png(folder / "residuals" / f"view_{index:03d}.png", picture)
-    return [
-        (CHECK_FILE, "all numbers of all views"),
-        ("unexplained.pfm", "float32 map of the reference: rms difference over the views that see a pixel"),
-        ("residuals/", "recorded less predicted views, four times enlarged about grey"),
-    ]

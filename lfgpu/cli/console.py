@@ -27,7 +27,6 @@ Progress = Callable[[str, int, float], None]
 
 _LABELS = 13  # characters: the width of labels, so that several blocks are aligned
 _NARROWEST = 100  # columns at least where the output is not a terminal
-_KEPT = (100, 95, 90, 75, 50, 25)  # percent
 _RUNNERS = {
     "keys": "key views",
     "join": "all views",
@@ -130,23 +129,16 @@ def comparison(console: Console, scored: Compared) -> None:
 
 
 def sparsification(console: Console, curve: Sparsification) -> None:
-    """Print the share of bad pixels among the most confident ones, and the smallest possible share, in 80 columns."""
-    table = _table()
-    table.add_column(f"BadPix {curve.threshold:g}\nof the surest", vertical="bottom", no_wrap=True)
-    shown = [index for index, share in enumerate(curve.kept) if round(share) in _KEPT]
-    for index in shown:
-        table.add_column(f"{curve.kept[index]:.0f} %", justify="right", no_wrap=True)
-    for name, shares in (("confidence", curve.bad), ("oracle", curve.oracle)):
-        table.add_row(name, *(f"{shares[index]:.2f} %" for index in shown))
-    _print(console, table)
+    """Print how well the confidence tells which pixels are bad."""
     if math.isnan(curve.ause):
         remark(console, "No pixel is bad, so the confidence cannot be judged.")
         return
-    never = "never rises" if curve.monotone else "rises here and there"
+    half = list(curve.kept).index(50)
     remark(
         console,
-        f"The oracle sorts pixels by their true error. The area between both curves is {curve.ause:.3f} (AUSE, 0 is "
-        f"best). The share of bad pixels {never} as less confident pixels are left out.",
+        f"By the confidence, {curve.bad[half]:.2f} % of the surest half of the pixels are bad (BadPix "
+        f"{curve.threshold:g}); {curve.oracle[half]:.2f} % is possible. The area between both curves is "
+        f"{curve.ause:.3f} (AUSE, 0 is best).",
     )
 
 

@@ -52,7 +52,7 @@ def evaluate(
 ) -> None:
     """Score a disparity map with the metrics of the HCI 4D Light Field Benchmark; smaller is better.
 
-    Results of `lfgpu depth` also get a sparsification curve: the share of bad pixels among the most confident ones.
+    Results of `lfgpu depth` also get the share of bad pixels in the more confident half.
     Several methods on several scenes (--scene) give one table; -o writes it as table.md, table.tex and table.csv, the
     error maps as errors.png, and report.html with all of it. Several batches give one table of all items with ground
     truth.

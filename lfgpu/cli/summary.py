@@ -66,7 +66,7 @@ def show_result(console: Console, result: DepthResult, *, range_given: bool) -> 
 
 
 def show_scores(console: Console, lf: LightField, result: DepthResult) -> dict[str, Metrics]:
-    """Print the metrics after each stage and the sparsification curve, or why there are none; returns the metrics."""
+    """Print the metrics after each stage and what the confidence tells, or why there are none; returns the metrics."""
     if lf.truth is None:
         return {}
     shown.heading(console, "Against the ground truth (which the estimate does not use)")

@@ -64,11 +64,9 @@ def train(
     with the weights of lfgpu. Nothing of the light fields themselves is learned. The weights are written after each
     piece of the run; use them with --weights. On a GPU a step takes about 0.1 s, on a CPU a minute.
     """
-    from importlib.util import find_spec
-
     from lfgpu.cli.console import heading, lines, output
     from lfgpu.io import check_writable, read
-    from lfgpu.io.damage import how_to_install
+    from lfgpu.io.damage import require
     from lfgpu.methods.matching.learned import BUILT_IN, read_weights
 
     if out.suffix != ".npz":
@@ -76,8 +74,7 @@ def train(
     check_writable(out, folder=False)
     if side is not None and (side < 32 or side % 32):
         raise LightFieldError(f"--side must be a multiple of 32, not {side}.")
-    if find_spec("torch") is None:
-        raise LightFieldError(f"lfgpu train needs PyTorch, which is not installed; {how_to_install('train')}.")
+    require("torch", "train", "lfgpu train")
     options = reading.options()
     devices = devices_of(DEFAULT, device)
 

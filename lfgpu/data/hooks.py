@@ -9,7 +9,4 @@ save: Callable[..., None]
 """`lfgpu.io.save`."""
 
 html: Callable[[object], str]
-"""`lfgpu.viz.notebook.html`."""
-
-explanation_html: Callable[[object], str]
-"""`lfgpu.reports.report.explanation_html`."""
+"""`lfgpu.reports.notebook.html`."""

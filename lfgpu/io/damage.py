@@ -106,13 +106,13 @@ def check_fetched(path: Path) -> None:
         )
 
 
-def require(module: str, extra: str, path: Path) -> Any:
-    """Import an optional library; LightFieldError that says how to install it where it is missing."""
+def require(module: str, extra: str, who: object) -> Any:
+    """Import an optional library for `who`; LightFieldError that says how to install it where it is missing."""
     try:
         return importlib.import_module(module)
     except ImportError as error:
         raise LightFieldError(
-            f"reading {path} needs {module.partition('.')[0]}, which is not installed; {how_to_install(extra)}."
+            f"{who} needs {module.partition('.')[0]}, which is not installed; {how_to_install(extra)}."
         ) from error
 
 

@@ -1,6 +1,5 @@
 """Rendered images as files: one as PNG or TIFF, many as GIF, MP4 or a folder of PNGs."""
 
-import importlib.util
 import os
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
@@ -13,7 +12,7 @@ from PIL import Image
 from lfgpu.contract import Float32Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, atomic_write
-from lfgpu.io.damage import how_to_install
+from lfgpu.io.damage import require
 from lfgpu.io.png import quantised, write_png
 
 _FPS = 15.0
@@ -40,7 +39,7 @@ def check_image_path(path: str | os.PathLike[str]) -> None:
     if path.suffix.lower() not in (".png", ".tif", ".tiff"):
         raise LightFieldError(f"{path} cannot be written: an image is stored as .png or .tif; choose one of these.")
     if path.suffix.lower() != ".png":
-        _need("tifffile", "tiff", path)
+        require("tifffile", "tiff", path)
 
 
 def write_frames(
@@ -73,12 +72,7 @@ def check_frames_path(path: str | os.PathLike[str]) -> None:
             f"{path} cannot be written: a film is stored as .gif or .mp4, or without a suffix as a folder of PNGs."
         )
     if path.suffix.lower() == ".mp4":
-        _need("imageio_ffmpeg", "video", path)
-
-
-def _need(module: str, extra: str, path: Path) -> None:
-    if importlib.util.find_spec(module) is None:
-        raise LightFieldError(f"{path} needs {module.replace('_', '-')}; {how_to_install(extra)}.")
+        require("imageio_ffmpeg", "video", path)
 
 
 def _write_gif(frames: Iterable[Float32Array], path: Path, fps: float) -> None:

@@ -13,7 +13,7 @@ from lfgpu.data.summary import UNIT
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION
-from lfgpu.io.damage import how_to_install
+from lfgpu.io.damage import require
 
 if TYPE_CHECKING:
     import xarray
@@ -55,10 +55,7 @@ def to_xarray(shown: LightField | DepthResult | DisparityMap | ViewsResult) -> x
     >>> lfgpu.to_xarray(lfgpu.estimate_depth(lf)).depth.attrs["units"]
     'm'
     """
-    try:
-        import xarray
-    except ImportError as error:
-        raise LightFieldError(f"to_xarray needs xarray, which is not installed; {how_to_install('xarray')}.") from error
+    xarray = require("xarray", "xarray", "to_xarray")
     match shown:
         case LightField():
             variables, coordinates, about = _views(shown)

@@ -2,7 +2,6 @@
 
 from collections.abc import Generator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,15 +15,10 @@ from lfgpu.io.folders import head
 _CONTAINERS = "matroska,webm,mov,mp4,avi"  # MKV and WebM; MP4 and MOV; AVI
 
 
-def check_available(path: Path) -> Any:
-    """Import imageio_ffmpeg; LightFieldError that names `path` and how to install it if it is missing."""
-    return require("imageio_ffmpeg", "video", path)
-
-
 def frames(file: Path, *, name: Path | None = None, demuxer: str | None = None) -> Generator[NDArray[np.uint8]]:
     """Yield the frames of a video, uint8 [y, x, 3]; messages say `name`; `demuxer` is ffmpeg's for a bare stream."""
     path = name or file
-    ffmpeg = check_available(path)
+    ffmpeg = require("imageio_ffmpeg", "video", path)
     # Nothing but files, and no playlists: what is in the file must not reach out to others.
     inputs = ["-protocol_whitelist", "file", "-format_whitelist", demuxer or _CONTAINERS]
     inputs += ["-f", demuxer] if demuxer else []

@@ -1,1 +1,1 @@
-"""Reports: what was found, as pages that can be sent and printed."""
+"""Reports: what was found, as pages that can be sent and printed, and in notebooks."""

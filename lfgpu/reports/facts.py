@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import TYPE_CHECKING
 
 from lfgpu.data.summary import view_at
@@ -29,6 +30,15 @@ def rows(lf: LightField) -> list[tuple[str, str]]:
         ("geometry", geometry(lf.geometry)),
         ("ground truth", truth(lf)),
         *lf.reading.lines(),
+    ]
+
+
+def typeset_rows(lf: LightField) -> list[tuple[str, str]]:
+    """Describe a light field as `rows` does, with true signs of multiplication and minus, and its notes."""
+    signed = ((label, re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text)) for label, text in rows(lf))
+    return [
+        *((label, text.replace(" x ", " \u00d7 ")) for label, text in signed),
+        *(("note", note) for note in lf.notes),
     ]
 
 

@@ -6,7 +6,6 @@ It is one file without scripts, and it needs no network.
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,7 +28,6 @@ from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
 from lfgpu.reports import charts, facts
 from lfgpu.reports.epis import Point, epi_cards, find_points
 from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, view_card
-from lfgpu.viz.notebook import notebook_page
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import rgb
 
@@ -114,7 +112,7 @@ def html(
         distributions=_distributions(lf, result),
         points=points,
         epis=[card for point in points for card in epi_cards(lf, result.disparity, point)],
-        judged=None if explanation is None else _judged(explanation),
+        judged=None if explanation is None else judged(explanation),
         facts=_facts(lf, origin),
         run=_run(result, origin),
         command=origin.command,
@@ -272,7 +270,7 @@ def _cells(m: Metrics) -> list[str]:
 # --- without truth ---
 
 
-def _judged(found: Explanation) -> dict[str, Any]:
+def judged(found: Explanation) -> dict[str, Any]:
     """Collect what `lfgpu.explain` says: sentences, numbers, and the cameras and the unexplained part as cards."""
     known = found.psnr[np.isfinite(found.psnr)].astype(np.float32)
     limits = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
@@ -297,28 +295,14 @@ def _judged(found: Explanation) -> dict[str, Any]:
     }
 
 
-def explanation_html(found: Explanation) -> str:
-    """Return what `lfgpu.explain` says as HTML for notebooks."""
-    judged = _judged(found)
-    findings = judged["findings"] or ["the views fit together."]
-    rows = [*(("finding", finding) for finding in findings), ("numbers", judged["numbers"])]
-    return notebook_page(f"{found.name}: how well the map predicts the other views", judged["cards"], rows)
-
-
 # --- input, run, parameters ---
 
 
 def _facts(lf: LightField, origin: Origin) -> list[tuple[str, str]]:
     return [
         *((("read from", origin.source),) if origin.source else ()),
-        *((label, _typeset(text)) for label, text in facts.rows(lf)),
-        *(("note", note) for note in lf.notes),
+        *facts.typeset_rows(lf),
     ]
-
-
-def _typeset(text: str) -> str:
-    """Typeset text of the command line with true signs of multiplication and minus."""
-    return re.sub(r"(?<![\w.])-(?=\d)", "\u2212", text.replace(" x ", " \u00d7 "))
 
 
 def _run(result: DepthResult, origin: Origin) -> list[tuple[str, str]]:

@@ -1,1 +1,1 @@
-"""Visualisation: pictures of maps, sheets, panels, cards, refocusing, rendering of new views, notebooks."""
+"""Visualisation: pictures of maps, sheets, panels, cards, refocusing, rendering of new views."""

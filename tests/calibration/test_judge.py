@@ -1,6 +1,5 @@
 """The judge: which camera stands out and how, whether signs are right, and silence where all is well."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -215,15 +214,9 @@ def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:
     moved = with_view(boxes, 3, lambda image: displaced(image, 0.3, 0))
     write_hci(moved, tmp_path / "lf")
     write_pfm(tmp_path / "map.pfm", truth(boxes))
-    result = CliRunner().invoke(
-        app, ["check", str(tmp_path / "lf"), str(tmp_path / "map.pfm"), "-o", str(tmp_path / "out")]
-    )
+    result = CliRunner().invoke(app, ["check", str(tmp_path / "lf"), str(tmp_path / "map.pfm")])
     assert result.exit_code == 0, result.output
     assert "row 0, column 3" in result.stdout
-    numbers = json.loads((tmp_path / "out" / "check.json").read_text())
-    assert numbers["views"][3]["shift_px"][0] == pytest.approx(0.3, abs=0.05)
-    assert numbers["views"][12]["psnr_db"] is None
-    assert len(list((tmp_path / "out" / "residuals").iterdir())) == 24
     wrong = CliRunner().invoke(app, ["check", str(tmp_path / "lf"), str(tmp_path / "nothing.pfm")])
     assert wrong.exit_code == 1
     assert len(wrong.stderr.splitlines()) == 1

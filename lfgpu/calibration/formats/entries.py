@@ -12,7 +12,7 @@ import numpy as np
 from lfgpu.calibration.cameras import Camera, turned
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
-from lfgpu.io.damage import how_to_install
+from lfgpu.io.damage import require
 from lfgpu.io.texts import read_text
 from lfgpu.printable import printable
 
@@ -112,22 +112,16 @@ def _listed(value: Any) -> list[Any]:
 
 def read_yaml(path: Path) -> Any:
     """Read a YAML file, plain values only, no more than a calibration has; matrices of OpenCV stay tables."""
-    try:
-        import yaml
-    except ImportError:
-        raise LightFieldError(f"{path} is YAML, which needs PyYAML; {how_to_install('calibration')}.") from None
-
-    class Loader(yaml.SafeLoader):  # type: ignore[misc, unused-ignore]
-        """YAML with OpenCV's matrices."""
-
+    yaml = require("yaml", "calibration", path)
+    maker: Any = type("Loader", (yaml.SafeLoader,), {})  # so that what is added stays here
     for tag in ("opencv-matrix", "opencv-nd-matrix"):
-        Loader.add_constructor(f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, True))
-    Loader.add_implicit_resolver("tag:yaml.org,2002:float", _WITHOUT_POINT, list("-+0123456789"))
+        maker.add_constructor(f"tag:yaml.org,2002:{tag}", lambda loader, node: loader.construct_mapping(node, True))
+    maker.add_implicit_resolver("tag:yaml.org,2002:float", _WITHOUT_POINT, list("-+0123456789"))
     lines = read_text(path, errors="replace", largest=_LARGEST_YAML).splitlines()
     if lines and lines[0].startswith("%YAML"):  # OpenCV writes "%YAML:1.0", which YAML does not know
         lines[0] = ""
     try:
-        loader = Loader("\n".join(lines))
+        loader = maker("\n".join(lines))
         node = loader.get_single_node()
         if _unfolded(node, {}) > _MOST_NODES:
             raise ValueError("its aliases unfold to more than any calibration has")

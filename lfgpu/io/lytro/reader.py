@@ -14,7 +14,7 @@ from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow, video
 from lfgpu.io.arrays import field_of
-from lfgpu.io.damage import check_claim, check_memory
+from lfgpu.io.damage import check_claim, check_memory, require
 from lfgpu.io.lytro.container import Container, is_container
 from lfgpu.io.lytro.contents import FOCAL_STACK, Contents, Views, across, read_contents
 
@@ -51,7 +51,7 @@ def _still(container: Container, name: str, views: Views) -> NDArray[np.uint8]:
 
 
 def _video(container: Container, views: Views) -> Iterator[NDArray[np.uint8]]:
-    video.check_available(container.path)
+    require("imageio_ffmpeg", "video", container.path)
     count, expected = 0, len(views.coordinates)
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "pictures.h264"

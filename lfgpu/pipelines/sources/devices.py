@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io.damage import how_to_install
+from lfgpu.io.damage import require
 from lfgpu.pipelines.sources.base import Frames, Options, light_field
 
 PREFIX = "opencv:"
@@ -24,10 +24,7 @@ def frames(source: str, options: Options) -> Frames:
 
     A device without a picture is missing in that frame. When no device has one, the frames end.
     """
-    try:
-        import cv2
-    except ImportError:
-        raise LightFieldError(f"{source} needs OpenCV, which is not installed; {how_to_install('opencv')}.") from None
+    cv2 = require("cv2", "opencv", source)
     names = [name.strip() for name in source.removeprefix(PREFIX).split(",")]
     with ExitStack() as opened:
         devices = []
