@@ -56,8 +56,9 @@ def scores(said: str) -> list[str]:
 
 
 def test_every_saved_map_scores_as_the_result_does(recorded: Path, solved: Path) -> None:
-    true, *found = (scores(run("eval", path, recorded)) for path in (solved, *(solved / name for name in SAVED)))
-    for name, one in zip(SAVED, found, strict=True):
+    read = [name for name in SAVED if not name.endswith(".ply")]
+    true, *found = (scores(run("eval", path, recorded)) for path in (solved, *(solved / name for name in read)))
+    for name, one in zip(read, found, strict=True):
         if name == "map16.png":
             np.testing.assert_allclose(float(one[0]), float(true[0]), rtol=0.01)
         else:
@@ -98,11 +99,9 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     run("convert", solved, "-o", tmp_path / "a.tif")
     np.testing.assert_array_equal(lfgpu.load(tmp_path / "a.tif").disparity, maps.reference.disparity)
     run("convert", solved / "disparities.npz", "--view", "0,2", "-o", tmp_path / "b.ply", "--image", recorded)
-    found = lfgpu.load(tmp_path / "b.ply")
-    assert found.position == (2.0, 0.0)
-    np.testing.assert_array_equal(found.disparity, maps.disparities[2])
     cloud = trimesh.load(tmp_path / "b.ply", process=False)
-    known = np.isfinite(found.disparity)
+    known = np.isfinite(maps.disparities[2])
+    np.testing.assert_array_equal(cloud.metadata["_ply_raw"]["vertex"]["data"]["disparity"], maps.disparities[2][known])
     assert known.mean() > 0.99
     np.testing.assert_array_equal(cloud.colors[:, :3], lfgpu.read(recorded).views[2][known])
     # all views' clouds are of one frame: where both see the same, their points are the same

@@ -169,7 +169,7 @@ def test_pages_switch_what_a_stream_offers() -> None:
         board.switch("record", True)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".pfm", ".exr", ".ply", ".png", ".tif"])
+@pytest.mark.parametrize("suffix", [".npz", ".pfm", ".exr", ".png", ".tif"])
 def test_results_are_saved_as_the_package_saves_them(suffix: str, tmp_path: Path) -> None:
     pytest.importorskip("OpenEXR") if suffix == ".exr" else None
     lf = scenes.make("relief", grid=(3, 3), size=SIZE)

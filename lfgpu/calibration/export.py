@@ -102,7 +102,7 @@ def export_scene(
         write_colmap(place / "sparse" / "0", cameras, points, colors)
         write_nerfstudio(place / "transforms.json", cameras, files=files, points="points.ply", depth_unit=unit)
         columns: dict[str, tuple[str, NDArray[Any]]] = {
-            name: ("<f4", points[:, axis]) for axis, name in enumerate("xyz")
+            name: ("f4", points[:, axis]) for axis, name in enumerate("xyz")
         }
         columns |= {name: ("u1", colors[:, axis]) for axis, name in enumerate(("red", "green", "blue"))}
         write_vertices(place / "points.ply", columns)

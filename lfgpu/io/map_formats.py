@@ -48,8 +48,9 @@ class MapFormat:
     """Lower case, with the dot; the first is the usual one."""
     description: str
     """One line for lists and help, without a full stop."""
-    read: Callable[[Path], DisparityMap]
-    """Reads a map, with all that the file says about it, or raises OSError or LightFieldError."""
+    read: Callable[[Path], DisparityMap] | None = None
+    """Reads a map, with all that the file says about it, or raises OSError or LightFieldError; None if it is only
+    written."""
     write: Callable[[DisparityMap, Path, NDArray[Any] | None], None] | None = None
     """Writes a map, coloured by an image where the format has colours, to a path; None if it is only read."""
     read_whole: Callable[[Path], Whole | None] | None = None
@@ -107,7 +108,6 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
         (".ply",),
         "point cloud, coloured, in metres if the geometry is known",
-        read=ply.read_map,
         write=ply.write_map,
     ),
     MapFormat((".npy",), "NumPy: the values", read=numpy_map.read_npy, recognise=numpy_map.recognise_npy),
@@ -143,7 +143,8 @@ def save(
     Examples
     --------
     >>> lfgpu.save(result, "cloud.ply", image=lf.image(lf.reference_index))
-    >>> lfgpu.load("cloud.ply").name
+    >>> lfgpu.save(result, "result.npz")
+    >>> lfgpu.load("result.npz").name
     'boxes'
     """
     path = Path(path)
@@ -228,7 +229,12 @@ def holds_map(path: str | os.PathLike[str]) -> bool:
     if path.is_dir():
         return result_in(path) is not None
     chosen = _named_as(path)
-    return chosen is not None and path.exists() and (chosen.recognise is None or chosen.recognise(path))
+    return (
+        chosen is not None
+        and chosen.read is not None
+        and path.exists()
+        and (chosen.recognise is None or chosen.recognise(path))
+    )
 
 
 def result_in(folder: Path) -> Path | None:
@@ -251,8 +257,9 @@ def readable_format(path: Path) -> MapFormat:
     check_fetched(path)
     not_waited_for(path)
     chosen = _named_as(path)
-    if chosen is None:
-        raise LightFieldError(f"{path} is not a kind of map that can be read; known are {_suffixes(MAP_FORMATS)}.")
+    if chosen is None or chosen.read is None:
+        known = _suffixes(entry for entry in MAP_FORMATS if entry.read is not None)
+        raise LightFieldError(f"{path} is not a kind of map that can be read; known are {known}.")
     return _usable(path, chosen)
 
 
@@ -270,6 +277,7 @@ def _usable(path: Path, chosen: MapFormat) -> MapFormat:
 
 def _map(path: Path, chosen: MapFormat) -> DisparityMap:
     """Read the map in a file, with its confidence of the same size; OSErrors become sentences."""
+    assert chosen.read is not None  # that is what readable means
     with read_as(path):
         values = chosen.read(path)
     for name, map_ in (("confidence", values.confidence), ("uncertainty", values.uncertainty)):

@@ -89,5 +89,5 @@ OUTPUTS = {
     "result": Output(_result, load),
     "views-result": Output(_views, load),
     "manifest": Output(_manifest, _read_manifest),
-    **{f"map{suffix}": _map(suffix) for suffix in (".pfm", ".npz", ".png", ".tif", ".exr", ".ply")},
+    **{f"map{suffix}": _map(suffix) for suffix in (".pfm", ".npz", ".png", ".tif", ".exr")},
 }

@@ -150,17 +150,13 @@ def test_maps_that_are_not_there_take_no_memory(tmp_path: Path) -> None:
         assert "has several pages" in refusal(lambda function=function: function(tmp_path / "a.tif"))
 
 
-@pytest.mark.parametrize("suffix", [".exr", ".ply"])
-def test_maps_that_claim_more_than_they_hold(tmp_path: Path, suffix: str) -> None:
-    file = tmp_path / f"a{suffix}"
+def test_maps_that_claim_more_than_they_hold(tmp_path: Path) -> None:
+    file = tmp_path / "a.exr"
     DisparityMap(np.ones((8, 9), np.float32)).save(file)
     data = bytearray(file.read_bytes())
-    if suffix == ".exr":
-        at = data.index(b"dataWindow\0box2i\0") + 21
-        assert struct.unpack("<4i", data[at : at + 16]) == (0, 0, 8, 7)
-        data[at + 8 : at + 16] = struct.pack("<2i", 29_999, 29_999)
-    else:
-        data = data.replace(b'"height": 8, "width": 9', b'"height": 14000, "width": 14000')
+    at = data.index(b"dataWindow\0box2i\0") + 21
+    assert struct.unpack("<4i", data[at : at + 16]) == (0, 0, 8, 7)
+    data[at + 8 : at + 16] = struct.pack("<2i", 29_999, 29_999)
     file.write_bytes(data)
     assert "which a file of" in refusal(lambda: load(file))
 
@@ -227,7 +223,7 @@ def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str
         assert "claim 53687" in refusal(lambda function=function: function(tmp_path / "result.npz"))
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".ply", ".exr"])
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".exr"])
 def test_pipes_in_place_of_maps_are_not_waited_for(tmp_path: Path, suffix: str) -> None:
     os.mkfifo(tmp_path / f"a{suffix}")
     for function in (load, read_map, read_result):
