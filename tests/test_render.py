@@ -125,8 +125,8 @@ def test_grey_views_and_rows_of_cameras() -> None:
 def test_what_cannot_be_rendered_is_refused() -> None:
     lf, known = kept(), maps()
     for maps_, position, words in (
-        (known, ("1", 1.0), "row must be a finite number"),
-        (known, (1.0, np.nan), "column must be a finite number"),
+        (known, ("1", 1.0), "row must be a number"),
+        (known, (1.0, np.nan), "column must be a number"),
         (known, (1.0, 100.0), "row 1, column 100 is too far away"),
         (replace(known, disparities=known.disparities[:, 1:]), (1.0, 1.0), "79 x 96 pixels"),
         (replace(known, positions=known.positions + 1), (1.0, 1.0), "other camera positions"),

@@ -399,7 +399,7 @@ def test_paint_sticks_to_what_moves() -> None:
     ("arguments", "sentence"),
     [
         ({"name": "teapot"}, "unknown scene 'teapot'; known are relief, planes"),
-        ({"seed": -1}, "seed must be a whole number >= 0, found -1"),
+        ({"seed": -1}, "seed must be a whole number of at least 0, not -1"),
         ({"seed": 1.5}, "seed must be a whole number"),
         ({"grid": (1, 1)}, "at least two views, found 1 x 1"),
         ({"grid": (3, 0)}, "grid must be"),
@@ -410,7 +410,7 @@ def test_paint_sticks_to_what_moves() -> None:
         ({"disparity_range": (1.0, -1.0)}, "disparity_range must be two finite numbers"),
         ({"disparity_range": (0.0, float("nan"))}, "disparity_range must be"),
         ({"disparity_range": "wide"}, "disparity_range must be"),
-        ({"noise": -0.1}, "noise must be a number from 0 to 1, found -0.1"),
+        ({"noise": -0.1}, "noise must be a number from 0 to 1, not -0.1"),
         ({"noise": float("nan")}, "noise must be"),
         ({"reference": (3, 0)}, r"reference view \(row 3, column 0\) does not exist in a grid of 3 x 3"),
         ({"reference": 4}, "reference view must be"),

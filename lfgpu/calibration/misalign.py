@@ -15,6 +15,7 @@ from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import pixels
 from lfgpu.cameras.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data.light_field_checks import check_number
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
@@ -35,9 +36,7 @@ class Misalignment:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            value = getattr(self, field.name)
-            if not 0 <= value < 1e3:
-                raise LightFieldError(f"misalignment: {field.name} must be a number from 0 on, not {value}.")
+            check_number(f"misalignment: {field.name}", getattr(self, field.name), 0, 1e3)
 
     @classmethod
     def parse(cls, text: str) -> Misalignment:

@@ -183,8 +183,8 @@ class LightField:
                     raise LightFieldError(f"truth must be {views.shape[1:3]}, like the views; found {values.shape}.")
         if self.grid_shape is not None:
             check_grid(positions, self.grid_shape)
-        if self.white is not None and (not isinstance(self.white, Integral) or self.white < 1):
-            raise LightFieldError(f"white must be a whole number of at least 1, not {self.white}.")
+        if self.white is not None:
+            check_whole("white", self.white, 1)
         files = texts("files", self.files)
         if files and len(files) != len(views):
             raise LightFieldError(f"files must be one for each of {len(views)} views; found {len(files)}.")

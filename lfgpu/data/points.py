@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.contract import Float32Array
+from lfgpu.data.light_field_checks import check_whole
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 
@@ -80,8 +81,7 @@ def point_cloud(
     >>> lfgpu.point_cloud(result, image=lf.image(lf.reference_index)).points.shape
     (5120, 3)
     """
-    if step < 1:
-        raise LightFieldError(f"step must be a whole number from 1 on, not {step}.")
+    check_whole("step", step, 1)
     disparity, every = result.disparity, np.s_[::step, ::step]
     height, width = disparity.shape
     y, x = np.mgrid[0:height:step, 0:width:step]

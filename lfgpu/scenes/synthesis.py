@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import numbers
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu.data.geometry import Geometry
+from lfgpu.data.light_field_checks import check_number, check_whole
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.scenes import render
@@ -96,7 +96,7 @@ def make(
     (48, 64)
     """
     scene = _scene(name, seed, grid, size, disparity_range)
-    recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
+    recording = _recording(scene, noise, reference, dtype, channels)
     return _record(scene, recording, _time(name, time), _displaced(displaced, scene.grid))
 
 
@@ -134,11 +134,11 @@ def sequence(
     >>> [frame.name for frame in lfgpu.scenes.sequence("moving", frames=2, grid=(3, 3), size=(24, 32))]
     ['moving', 'moving']
     """
-    _integer("frames", frames, 1)
+    check_whole("frames", frames, 1)
     scene = _scene(name, seed, grid, size, disparity_range)
     if name not in _MOVING:
         raise LightFieldError(f"a sequence needs a scene that moves ({', '.join(_MOVING)}), found {name!r}.")
-    recording = _Recording(seed, _noise(noise), _place(reference, scene.grid), _dtype(dtype), _channels(channels))
+    recording = _recording(scene, noise, reference, dtype, channels)
     return (_record(scene, recording, index / frames) for index in range(frames))
 
 
@@ -255,7 +255,7 @@ def _scene(
 ) -> _Scene:
     if name not in NAMES:
         raise LightFieldError(f"unknown scene {name!r}; known are {', '.join(NAMES)}.")
-    _integer("seed", seed, 0)
+    check_whole("seed", seed, 0)
     rows, columns = _pair("grid", "(rows, columns)", grid, 1)
     if rows * columns < 2:
         raise LightFieldError(f"grid must have at least two views, found {rows} x {columns}.")
@@ -331,22 +331,11 @@ def _geometry(scene: _Scene) -> Geometry:
 # --- arguments ---
 
 
-def _integer(what: str, value: object, low: int) -> None:
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value < low:
-        raise LightFieldError(f"{what} must be a whole number >= {low}, found {value!r}.")
-
-
-def _number(what: str, value: object, low: float, high: float) -> float:
-    if not isinstance(value, numbers.Real) or isinstance(value, bool) or not low <= float(value) <= high:
-        raise LightFieldError(f"{what} must be a number from {low:g} to {high:g}, found {value!r}.")
-    return float(value)
-
-
 def _pair(what: str, parts: str, value: Any, low: int) -> tuple[int, int]:
     try:
         first, second = value
-        _integer(what, first, low)
-        _integer(what, second, low)
+        check_whole(what, first, low)
+        check_whole(what, second, low)
     except (TypeError, ValueError):
         raise LightFieldError(f"{what} must be {parts}, whole numbers >= {low}, found {value!r}.") from None
     return int(first), int(second)
@@ -384,15 +373,11 @@ def _displaced(value: ArrayLike | None, grid: tuple[int, int]) -> NDArray[np.flo
     return moved
 
 
-def _noise(value: float) -> float:
-    return _number("noise", value, 0.0, 1.0)
-
-
 def _time(name: str, value: float) -> float:
-    time = _number("time", value, 0.0, 1.0)
-    if time != 0 and name not in _MOVING:
+    check_number("time", value, 0, 1)
+    if value != 0 and name not in _MOVING:
         raise LightFieldError(f"time must be 0 for a scene that does not move, found {value!r} for {name!r}.")
-    return time
+    return float(value)
 
 
 def _dtype(value: DTypeLike) -> np.dtype[Any]:
@@ -405,7 +390,10 @@ def _dtype(value: DTypeLike) -> np.dtype[Any]:
     return dtype
 
 
-def _channels(value: int) -> int:
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or value not in (1, 3):
-        raise LightFieldError(f"channels must be 1 (grey) or 3 (colour), found {value!r}.")
-    return int(value)
+def _recording(
+    scene: _Scene, noise: float, reference: tuple[int, int] | None, dtype: DTypeLike, channels: int
+) -> _Recording:
+    check_number("noise", noise, 0, 1)
+    if isinstance(channels, bool) or channels not in (1, 3):
+        raise LightFieldError(f"channels must be 1 (grey) or 3 (colour), found {channels!r}.")
+    return _Recording(scene.seed, float(noise), _place(reference, scene.grid), _dtype(dtype), channels)

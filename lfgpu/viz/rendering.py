@@ -8,9 +8,7 @@ splatting, and the mean lowers the noise.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from numbers import Real
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +17,7 @@ from lfgpu._backends import DEFAULT, BackendName, load, pick_device
 from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data.filling import fill_unknown
 from lfgpu.data.layout import farthest
+from lfgpu.data.light_field_checks import check_number, check_whole
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
@@ -106,8 +105,7 @@ class Renderer:
                 f"{maps.disparities.shape[2]} pixels, but {lf.name} has {len(lf.views)} views of {lf.size[0]} x "
                 f"{lf.size[1]} pixels, or other camera positions; give the maps of these views."
             )
-        if sources < 1:
-            raise LightFieldError(f"sources must be an integer >= 1, not {sources}.")
+        check_whole("sources", sources, 1)
         self._lf, self._maps, self._sources = lf, maps, int(sources)
         self._kernels = load(backend)
         self._device = pick_device(self._kernels, device)
@@ -144,8 +142,7 @@ class Renderer:
     def _checked(self, row: float, column: float) -> Float64Array:
         """Check the position; returns it as (u, v)."""
         for name, value in (("row", row), ("column", column)):
-            if not isinstance(value, Real) or not math.isfinite(value):
-                raise LightFieldError(f"{name} must be a finite number, not {value!r}.")
+            check_number(name, value)
         place = np.array([column, row], np.float64)
         low, high = self._lf.positions.min(0), self._lf.positions.max(0)
         if (np.abs(place - (low + high) / 2) > _FARTHEST * max(*(high - low), 1.0)).any():

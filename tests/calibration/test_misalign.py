@@ -112,7 +112,7 @@ def test_the_command_writes_both_calibrations(tmp_path) -> None:
     again = CliRunner().invoke(app, ["scene", "boxes", "-o", str(out), "--misalign", "wobble=1"])
     assert again.exit_code == 1
     assert "misalignment must be NAME=NUMBER" in again.stderr
-    with pytest.raises(LightFieldError, match="shift must be a number from 0 on"):
+    with pytest.raises(LightFieldError, match="shift must be a number from 0 to 1000"):
         Misalignment(shift=-1)
 
 
