@@ -32,15 +32,6 @@ COLOURS = ("viridis", "cividis", "magma", "turbo", "gray", "RdBu_r", "viridis_r"
 _MOST = 50.0  # per cent of the pixels: a map of more bad ones is not shown without a word
 _DARK = 0.45  # of full intensity: a light field with hardly anything brighter is shown brighter
 _SCALE_AGE = 1.0  # seconds after which the scales of a stream are measured again
-_WRITTEN = {
-    ".npz": "everything: maps of all stages, confidence, parameters; for lfgpu and NumPy",
-    ".pfm": "disparity as float32, as the HCI benchmark takes it",
-    ".exr": "disparity, confidence, uncertainty and depth as float32 (OpenEXR)",
-    ".ply": "coloured points; in metres if the cameras are known",
-    ".png": "disparity in 16 bits; scale and offset stand in the text of the file",
-    ".tif": "disparity as float32",
-}
-"""Formats in which pages save results, and what they hold."""
 
 
 class Facts:
@@ -138,10 +129,9 @@ def fixed() -> dict[str, Any]:
         "colours": {name: shades(name, 256).ravel().tolist() for name in COLOURS},
         "quantities": {name: dataclasses.asdict(quantity) for name, quantity in QUANTITIES.items()},
         "formats": [
-            {"suffix": suffix, "about": about}
-            for suffix, about in _WRITTEN.items()
+            {"suffix": entry.suffixes[0], "about": entry.description}
             for entry in MAP_FORMATS
-            if suffix in entry.suffixes and entry.write is not None and entry.is_available
+            if entry.write is not None and entry.is_available
         ],
         "live": LIVE,
     }
