@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,6 +12,7 @@ from lfgpu._backends import backend_named
 from lfgpu.cli import values
 from lfgpu.cli.options import Computing, Deterministic, OutFolder, Parameters, Quiet, ReadingIncomplete, Views
 from lfgpu.errors import LightFieldError
+from lfgpu.printable import printable
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -98,7 +97,7 @@ def batch(
     from lfgpu.batch.report import write_report
     from lfgpu.batch.run import Batch
     from lfgpu.batch.work import Settings
-    from lfgpu.cli.console import output
+    from lfgpu.cli.console import counting, output
     from lfgpu.cli.failures import command_line
     from lfgpu.io import check_writable
 
@@ -139,8 +138,11 @@ def batch(
 
     work, title = Batch(items, out, how), out.resolve().name
     try:
-        with _display(quiet=quiet) as show:
-            work.run(cluster, on_progress=show)
+        with counting(quiet=quiet) as show:
+            work.run(
+                cluster,
+                on_progress=lambda now: show(now.summary.computed + len(now.summary.failed), now.todo, _said(now)),
+            )
     except KeyboardInterrupt:
         done = work.summary.kept + work.summary.computed
         typer.echo(
@@ -172,59 +174,15 @@ def _share_of_cores(workers: int) -> int:
     return max(1, get_threads() // workers)
 
 
-@contextmanager
-def _display(*, quiet: bool) -> Iterator[Callable[[Progress], None]]:
-    """Show the progress of a batch on stderr, if that is a terminal."""
-    from rich.console import Console, Group
-    from rich.live import Live
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TaskProgressColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.progress import Progress as Bar
-    from rich.text import Text
-
-    from lfgpu.batch.report import mean_scores
-
-    console = Console(stderr=True, highlight=False, markup=False)
-    if quiet or not console.is_terminal:
-        yield lambda _: None
-        return
-    bar = Bar(
-        BarColumn(bar_width=40),
-        TaskProgressColumn(),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    task = bar.add_task("", total=None)
-    with Live(bar, console=console, transient=True, refresh_per_second=4) as live:
-
-        def show(progress: Progress) -> None:
-            summary = progress.summary
-            ended = summary.computed + len(summary.failed)
-            bar.update(task, total=progress.todo, completed=ended)
-            lines = [
-                f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept, "
-                f"{progress.workers} workers"
-            ]
-            means = mean_scores(list(summary.entries.values())[-1000:])
-            if means:
-                lines.append("  ".join(f"{name} {value:.2f}" for name, value in means.items()))
-            if progress.last is not None:
-                lines.append(f"last: {progress.last['item']}, {progress.last['seconds']:.2f} s")
-            if summary.failed:
-                lines.append(f"failed: {summary.failed[-1]['item']}: {summary.failed[-1]['error']}")
-            if progress.dashboard:
-                lines.append(f"dashboard: {progress.dashboard}")
-            live.update(Group(bar, *(Text(line, overflow="ellipsis", no_wrap=True) for line in lines)))
-
-        yield show
+def _said(progress: Progress) -> str:
+    """Describe for the display how a batch fares."""
+    summary = progress.summary
+    parts = [f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept, {progress.workers} workers"]
+    if progress.last is not None:
+        parts.append(f"last: {printable(progress.last['item'])}")
+    if progress.dashboard:
+        parts.append(f"dashboard: {progress.dashboard}")
+    return "; ".join(parts)
 
 
 def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:

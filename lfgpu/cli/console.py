@@ -11,7 +11,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.padding import Padding
 from rich.segment import Segment
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 from lfgpu.printable import printable
@@ -172,6 +172,30 @@ def waiting(text: str) -> Iterator[Callable[[str], None]]:
     with Display(*columns, console=console, transient=True, disable=not console.is_terminal) as display:
         task = display.add_task(text)
         yield lambda now: display.update(task, description=now)
+
+
+@contextmanager
+def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
+    """Show on stderr how many of all are done, and a text, while the block runs, if stderr is a terminal.
+
+    Yields what takes both numbers and the text.
+    """
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+    from rich.progress import Progress as Display
+
+    console = Console(stderr=True, highlight=False, markup=False)
+    columns = (
+        BarColumn(bar_width=20),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+        TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True)),  # what room is left
+    )
+    hidden = quiet or not console.is_terminal
+    with Display(*columns, console=console, transient=True, expand=True, disable=hidden) as display:
+        task = display.add_task("", total=None)
+        yield lambda done, total, text: display.update(task, completed=done, total=total, description=text)
 
 
 @contextmanager

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,8 +13,6 @@ from lfgpu.cli.options import Quiet, ReadingIncomplete
 from lfgpu.errors import LightFieldError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from lfgpu.training.rig import Rig
 
 _STEPS, _STEPS_LIKE = 13_000, 4_000
@@ -64,7 +60,7 @@ def train(
     with the weights of lfgpu. Nothing of the light fields themselves is learned. The weights are written after each
     piece of the run; use them with --weights. On a GPU a step takes about 0.1 s, on a CPU a minute.
     """
-    from lfgpu.cli.console import heading, lines, output
+    from lfgpu.cli.console import counting, heading, lines, output
     from lfgpu.io import check_writable, read
     from lfgpu.io.damage import require
     from lfgpu.methods.matching.learned import BUILT_IN, read_weights
@@ -102,7 +98,7 @@ def train(
         seed=seed,
     )
     folder = out.with_suffix(".training")
-    with _display(how.steps, quiet=quiet) as show:
+    with counting(quiet=quiet) as show:
         done, found = run(
             how,
             folder,
@@ -111,7 +107,7 @@ def train(
             seconds=60 * minutes,
             rig=rig,
             start=None if rig is None else read_weights(BUILT_IN),
-            on_step=show,
+            on_step=lambda step, line: show(step, how.steps, _said(line)),
         )
     if quiet:
         return
@@ -138,21 +134,6 @@ def _facts(rig: Rig) -> list[tuple[str, str]]:
     ]
 
 
-@contextmanager
-def _display(steps: int, *, quiet: bool) -> Iterator[Callable[[int, dict[str, Any]], None]]:
-    """Show the steps and the last line of the log on stderr, if that is a terminal."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
-
-    console = Console(stderr=True, highlight=False, markup=False)
-    columns = BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False)
-    with Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as display:
-        task = display.add_task("", total=steps)
-
-        def show(step: int, line: dict[str, Any]) -> None:
-            said = (
-                f"loss {line['loss']:.3f}, {100 * line['bad 0.28']:.1f} % bad, {line['ms']} ms a step" if line else ""
-            )
-            display.update(task, completed=step, description=said)
-
-        yield show
+def _said(line: dict[str, Any]) -> str:
+    """Write the last line of the log for the display."""
+    return f"loss {line['loss']:.3f}, {100 * line['bad 0.28']:.1f} % bad, {line['ms']} ms a step" if line else ""
