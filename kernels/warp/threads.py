@@ -6,6 +6,7 @@ threads, so neither do the results.
 
 import glob
 import os
+import re
 import shutil
 import threading
 import zlib
@@ -23,6 +24,7 @@ from lfgpu.threads import get_threads
 
 _SOURCES = (".cpp", ".cu")  # they are compiled, not loaded
 _SUM = ".crc32"
+_IS_BEING_MADE = re.compile(r"_p\d+_t\d+$").search  # a folder that Warp renames when all is in it
 
 _loaded: set[tuple[Any, str, int | None]] = set()  # modules of kernels, for a device and a number of threads in a block
 
@@ -105,15 +107,16 @@ def cache_is_closed(error: OSError) -> BackendError:
 
 
 def _places(module: Any) -> list[Path]:
-    return list(Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*"))
+    """List the folders of a module in the cache, without those in which a process compiles it at this moment."""
+    found = Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*")
+    return [place for place in found if not _IS_BEING_MADE(place.name)]
 
 
 def _files(module: Any) -> Iterator[Path]:
     """Yield the files that Warp loads of a module."""
     for place in _places(module):
-        for file in place.iterdir():
-            if file.suffix not in (*_SOURCES, _SUM):
-                yield file
+        with suppress(FileNotFoundError):  # another process has just replaced it
+            yield from (file for file in list(place.iterdir()) if file.suffix not in (*_SOURCES, _SUM))
 
 
 def _is_whole(file: Path) -> bool:

@@ -283,7 +283,13 @@ def test_a_cache_that_is_damaged_is_made_again(tmp_path: Path) -> None:
     assert run(tmp_path) == first
     for file in objects:
         file.with_name(f"{file.name}.crc32").write_bytes(b"\xff")
+    being_made = [file.parent.with_name(f"{file.parent.name}_p1_t2") for file in objects]
+    for place in being_made:  # another process compiles, and will need its folder
+        place.mkdir()
+        (place / "half.o").write_bytes(b"half")
+        (place / "half.o.crc32").write_text("another")
     assert run(tmp_path) == first
+    assert all((place / "half.o").exists() for place in being_made)
 
 
 @pytest.mark.thorough
