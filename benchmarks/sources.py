@@ -37,7 +37,7 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
 }
 """By benchmark: folders and files that its figures depend on, beside its own module."""
 
-_TEXTS = (".h", ".cuh", ".cpp", ".toml")
+_OTHERS = (".h", ".cuh", ".cpp", ".toml", ".npz")
 
 
 def stamp(benchmark: str) -> dict[str, str]:
@@ -53,12 +53,13 @@ def is_stale(content: Any) -> bool:
 
 @cache
 def hash_of(benchmark: str, root: Path = ROOT) -> str:
-    """Hash the sources of a benchmark: names of files, and code without comments and docstrings."""
+    """Hash the sources of a benchmark: names of files, code without comments and docstrings, and weights."""
     found = hashlib.sha256()
     for path in sorted(set(_files(root, (*SOURCES[benchmark], f"benchmarks/{benchmark}.py")))):
-        text = path.read_text(encoding="utf-8")
-        code = _shape(ast.parse(text)) if path.suffix == ".py" else text
-        found.update(f"{path.relative_to(root).as_posix()}\n{code}\n".encode())
+        found.update(f"{path.relative_to(root).as_posix()}\n".encode())
+        is_code = path.suffix == ".py"
+        found.update(_shape(ast.parse(path.read_text(encoding="utf-8"))).encode() if is_code else path.read_bytes())
+        found.update(b"\n")
     return found.hexdigest()[:16]
 
 
@@ -66,7 +67,7 @@ def _files(root: Path, places: Iterable[str]) -> Iterator[Path]:
     for place in places:
         path = root / place
         found = [path] if path.is_file() else path.rglob("*")
-        yield from (file for file in found if file.suffix in (".py", *_TEXTS))
+        yield from (file for file in found if file.suffix in (".py", *_OTHERS))
 
 
 def _shape(node: Any) -> str:
