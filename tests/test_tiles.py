@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from benchmarks import tile_differences
 from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read, scenes
-from lfgpu._backends import load
+from lfgpu._backends import load, open_device
 from lfgpu.cli import app
 from lfgpu.config import Config
 from lfgpu.contract import REDUCTION, Device
@@ -136,7 +136,8 @@ def test_patches_without_texture_are_those_found_in_one_piece() -> None:
 def test_tiles_are_doubted_together() -> None:
     """Their map, not that of the first one, lies at the end of its range."""
     lf, bounds = scenes.make("boxes", grid=(3, 3), size=(64, 380)), (0.5, 3.0)
-    method, measured = method_of("fast"), Measured(bounds, 0.004)
+    method = method_of("fast")
+    measured = method.measured(lf, bounds, open_device("warp", "cpu"))
     (_, width) = tiles._cuts(380, method.halo(lf.layout, measured)[1])[1]
     memory = method.footprint(lf.layout, measured, on_gpu=False).bytes(64, width) + lf.views.nbytes + 32 * 64 * 380
     found = estimate_depth(lf, config="fast", disparity_range=bounds, device="cpu", max_memory=memory)

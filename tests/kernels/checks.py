@@ -118,7 +118,7 @@ class Desk:
 def names_of(contract: type) -> set[str]:
     """The names of all operations and facts of a contract; what only some backends have is left out."""
     named = {name for base in contract.__mro__ for name in vars(base) if base.__module__.startswith("lfgpu.contract")}
-    return {name for name in named if not name.startswith("_")} - {"streaming", "recording"}
+    return {name for name in named if not name.startswith("_")} - {"streaming", "recording", "changing"}
 
 
 Errors = Callable[[dict[str, Values], dict[str, Values], SimpleNamespace], dict[str, float]]
