@@ -87,7 +87,8 @@ def test_captured_run_is_the_uncaptured_one(target: Any, config: Config) -> None
     uncaptured = ran(pipeline)
     pipeline.run()
     assert np.quantile(np.abs(ran(pipeline) - uncaptured), 0.95) <= SAME
-    other = ran(made(scene(1), target, config))
+    where = {"backend": target.backend, "device": target.device}
+    other = ran(DepthPipeline(scene(1), config=config, measured=pipeline.measured, **where))
     assert np.quantile(np.abs(ran(pipeline, scene(1).views) - other), 0.95) <= SAME
 
 
