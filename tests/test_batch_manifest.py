@@ -357,7 +357,7 @@ def test_items_are_sorted_and_enlarged(browser: Any, out: Path, screen: tuple[in
         scored = [name for name in names if of(name) < 1e9]
         assert down == [*reversed(scored), *(name for name in names if name not in scored)], "what has none is last"
     page.get_by_role("searchbox").fill("ITEM 10")
-    assert [one.inner_text() for one in order.all() if one.is_visible()] == ["item_10"]
+    assert [one.text_content() for one in order.all() if one.is_visible()] == ["item_10"]
     page.get_by_role("searchbox").fill("")
     item = page.locator(".item", has_text="item_10")
     before = item.locator("img").last.bounding_box()["width"]

@@ -262,14 +262,14 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: PresetNa
 
 
 @pytest.mark.parametrize(
-    ("preset", "noises"),
+    ("preset", "noises", "side"),
     [
-        ("fast", (0.0,)),
-        pytest.param("accurate", (0.0, 0.01, 0.02), marks=pytest.mark.thorough),
-        pytest.param("fast", (0.0, 0.01, 0.02), marks=pytest.mark.thorough),
+        ("fast", (0.0,), 128),
+        pytest.param("accurate", (0.0, 0.01, 0.02), 192, marks=pytest.mark.thorough),
+        pytest.param("fast", (0.0, 0.01, 0.02), 192, marks=pytest.mark.thorough),
     ],
 )
-def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[float, ...]) -> None:
+def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[float, ...], side: int) -> None:
     """Over scenes with texture together, in bins of the confidence that hold enough pixels.
 
     Surfaces without texture are filled, and nothing in the views says whether that is right. There the confidence may
@@ -279,7 +279,7 @@ def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[
     for name in ("boxes", "planes", "bars", "textureless"):
         inner, found, said = np.s_[15:-15, 15:-15], [], []
         for seed, noise in itertools.product((0, 1, 2), noises):
-            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(128, 128), noise=noise)
+            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(side, side), noise=noise)
             result = estimate_depth(lf, disparity_range=RANGE, config=preset, check_cameras=False)
             found.append((np.abs(result.disparity - lf.truth.disparity) <= 0.07)[inner].ravel())
             said.append(result.confidence[inner].ravel())
