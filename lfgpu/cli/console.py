@@ -17,6 +17,9 @@ from rich.text import Text
 from lfgpu.printable import printable
 
 if TYPE_CHECKING:
+    from rich.progress import Progress as Display
+    from rich.progress import ProgressColumn
+
     from lfgpu.comparison import Table as Compared
     from lfgpu.config import Config
     from lfgpu.methods.base import Stage
@@ -158,18 +161,25 @@ def remark(console: Console, text: str) -> None:
     _print(console, Text(text))
 
 
+def _display(*columns: str | ProgressColumn, quiet: bool = False, expand: bool = False) -> Display:
+    """Make a display on stderr that goes when it is done; it shows nothing if stderr is no terminal."""
+    from rich.progress import Progress as Display
+
+    console = Console(stderr=True, highlight=False, markup=False)
+    console.quiet = quiet or not console.is_terminal  # rich 13 ends a display that is disabled with an empty line
+    return Display(*columns, console=console, transient=True, expand=expand, disable=console.quiet)
+
+
 @contextmanager
 def waiting(text: str) -> Iterator[Callable[[str], None]]:
     """Show on stderr what is going on and for how long while the block runs; nothing where it is no terminal.
 
     Yields what changes the text.
     """
-    from rich.progress import Progress as Display
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
-    console = Console(stderr=True, highlight=False, markup=False)
     columns = SpinnerColumn("line"), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
-    with Display(*columns, console=console, transient=True, disable=not console.is_terminal) as display:
+    with _display(*columns) as display:
         task = display.add_task(text)
         yield lambda now: display.update(task, description=now)
 
@@ -181,9 +191,7 @@ def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
     Yields what takes both numbers and the text.
     """
     from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-    from rich.progress import Progress as Display
 
-    console = Console(stderr=True, highlight=False, markup=False)
     columns = (
         BarColumn(bar_width=20),
         MofNCompleteColumn(),
@@ -192,8 +200,7 @@ def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
         TimeRemainingColumn(),
         TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True)),  # what room is left
     )
-    hidden = quiet or not console.is_terminal
-    with Display(*columns, console=console, transient=True, expand=True, disable=hidden) as display:
+    with _display(*columns, quiet=quiet, expand=True) as display:
         task = display.add_task("", total=None)
         yield lambda done, total, text: display.update(task, completed=done, total=total, description=text)
 
@@ -202,11 +209,9 @@ def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
 def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
     """Show the stages, their iterations and values on stderr while the block runs, if stderr is a terminal."""
     from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-    from rich.progress import Progress as Display
 
     from lfgpu.methods import method_of
 
-    console = Console(stderr=True, highlight=False, markup=False)
     method = method_of(config)
     stages = {stage.name: stage for stage in method.stages}
     columns = (
@@ -217,7 +222,7 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
         TextColumn("{task.fields[state]}", markup=False),
     )
     tasks: dict[str, TaskID] = {}
-    with Display(*columns, console=console, transient=True, disable=quiet or not console.is_terminal) as display:
+    with _display(*columns, quiet=quiet) as display:
 
         def show(stage: str, iteration: int, value: float) -> None:
             if stage not in tasks:
