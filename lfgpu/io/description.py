@@ -187,7 +187,7 @@ def _rest(file: Path, table: Mapping[str, Any]) -> dict[str, Any]:
     fields: dict[str, Any] = {}
     fields["name"] = table.get("name", file.resolve().parent.name if file.name == DEFAULT_NAME else file.stem)
     if not isinstance(fields["name"], str):
-        raise LightFieldError(f"name must be a text, not {fields['name']!r}.")
+        raise LightFieldError(f"name must be a text, not {_shown(fields['name'])}.")
     if "grid" in table:
         fields["grid_shape"] = _pair(table["grid"], "grid", whole=True)
     if "reference" in table:

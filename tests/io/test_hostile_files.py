@@ -74,8 +74,10 @@ def test_whole_numbers_of_hundreds_of_digits(tmp_path: Path, suffix: str) -> Non
 
 
 def test_numbers_and_names_that_cannot_be_written_out(tmp_path: Path) -> None:
-    text = refusal(lambda: read(described(tmp_path, f"reference = 0x{'f' * 9000}")))
-    assert "not a number of thousands of digits" in text
+    for name in "reference", "name":
+        text = refusal(lambda key=name: read(described(tmp_path, f"{key} = 0x{'f' * 9000}")))
+        assert f"{name} must be " in text
+        assert "not a number of thousands of digits" in text
     file = described(tmp_path, f'name = "{"a.b" * 50}"')
     assert read(file).name == "a.b" * 50
     with (tmp_path / "array.toml").open("wb") as file:
