@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import time
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from benchmarks.errors import BenchmarkError
 from benchmarks.options import DeviceName, say
+from lfgpu._backends import DEFAULT, open_device
 from lfgpu.methods.matching import learned
 
 
@@ -21,10 +24,12 @@ def command(
     device: DeviceName = None,
 ) -> None:
     """Generate light fields, match them twice, and train the choice between the two maps (needs PyTorch)."""
+    if find_spec("torch") is None:
+        raise BenchmarkError("training needs PyTorch, which is not installed; install lfgpu[train].")
     from lfgpu.training.choice import draw, train_choice
     from lfgpu.training.weights import write_weights
 
-    began, place = time.monotonic(), device or "cuda:0"
+    began, place = time.monotonic(), open_device(DEFAULT, device).name
 
     def shown(done: int, said: str = "light fields") -> None:
         if done % 100 == 0:

@@ -64,11 +64,11 @@ class Compared:
         return Compared(features, image, maps, truth, self.limits[which])
 
 
-Seen = tuple[Float32Array, Float32Array, Float32Array]
+Sight = tuple[Float32Array, Float32Array, Float32Array]
 """The features, the image and both maps [c, y, x] of a light field."""
 
 
-def compare(lf: LightField, bounds: tuple[float, float], method: Method[MatchingConfig], place: Device) -> Seen:
+def compare(lf: LightField, bounds: tuple[float, float], method: Method[MatchingConfig], place: Device) -> Sight:
     """Run the preset surest up to its choice, and return what this sees."""
     plan = method.plan(lf.layout, method.measured(lf, bounds, place), place)
     assert isinstance(plan, MatchingPlan)

@@ -107,12 +107,9 @@ class SecondMap:
         assert sweeps.second is not None
         self._frame, self._kernels, self._sweeps, self._second = frame, frame.kernels, sweeps, sweeps.second
         self._farthest, self._steps = frame.layout.farthest, frame.config.alignment.iterations
-        self.confidence, self.variance = (arena.field(f"chosen {name}", size) for name in ("confidence", "variance"))
-        """Of the chosen map, as `KernelSet.choose` gives them."""
-        self.map, self._matched, self._judged = (
-            arena.field(f"second map, {name}", size) for name in ("filled", "matched", "judged")
-        )
-        """`map` [y, x] is that of the network."""
+        self._matched = arena.field("second map, matched", size)
+        self.map = arena.field("second map", size)
+        """The map of the network [y, x]."""
         self.first = arena.field("first map", size)
         """The map of the sweeps [y, x]."""
         with arena.scratch() as scratch:
@@ -120,32 +117,36 @@ class SecondMap:
             self._means = [scratch.fields(2, size) for _ in REACHES]
             self.choice = Choice(arena, _built_in(), size)
 
-    def take(self, alignment: Alignment, completion: Completion, unhidden: Array | None, map_: Array) -> None:
+    def take(
+        self, alignment: Alignment, completion: Completion, unhidden: Array | None, map_: Array, confidence_out: Array
+    ) -> None:
         """Find the second map, and make `map_` [y, x], that of the sweeps, the chosen one.
 
-        `unhidden` as for `Judging.run`.
+        Its variance is that of the judging. `unhidden` as for `Judging.run`.
         """
         self._kernels.copy(map_, self.first)
-        self._compare(alignment, completion, unhidden)
+        self._compare(alignment, completion, unhidden, confidence_out)
         self._kernels.choose(
             self.choice(),
             self.first,
             self.map,
             farthest=self._farthest,
             disparity_out=map_,
-            confidence_out=self.confidence,
-            variance_out=self.variance,
+            confidence_out=confidence_out,
+            variance_out=self._sweeps.judging.variance,
         )
 
-    def _compare(self, alignment: Alignment, completion: Completion, unhidden: Array | None) -> None:
-        """Find the second map, and what the choice sees of both."""
+    def _compare(
+        self, alignment: Alignment, completion: Completion, unhidden: Array | None, confidence_out: Array
+    ) -> None:
+        """Find the second map, and show the choice both; the confidence is that of the first one."""
         network = self._second.aggregation
         assert isinstance(network, Learned)
         self._sweeps.find(self._second, None, self._matched)
         alignment.run(self._matched, network.variance, self.map, self._steps, None)
         completion.fill(self.map, alignment.curvature)
-        self._sweeps.judge(self._sweeps.last, self.first, unhidden, self._judged)
-        own = [self.first, self._judged, self._sweeps.judging.variance]
+        self._sweeps.judge(self._sweeps.last, self.first, unhidden, confidence_out)
+        own = [self.first, confidence_out, self._sweeps.judging.variance]
         others = [self.map, network.confidence, network.variance]
         for reach, means in zip(REACHES, self._means, strict=True):
             for values, mean in zip((own, others), means, strict=True):

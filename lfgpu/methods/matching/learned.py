@@ -169,7 +169,7 @@ class Network:
         self.image = arena.image("image for the network", (*layout.size, layout.channels))
         """The reference image [y, x, c] of the views that were loaded."""
         self.factor: Scalar = self._device.scalar(1.0)
-        """What brings this image to the brightness of training."""
+        """The factor that brings this image to the brightness of training."""
         with arena.scratch() as scratch:
             self._allocate(scratch, weights, stored or stored_type(arena))
 

@@ -147,7 +147,7 @@ class MatchingPlan:
     def _complete(self) -> None:
         self._completion.run(self._aligned, self._alignment.curvature, self.disparity)
         if self.second is not None:
-            self.second.take(self._alignment, self._completion, self._unhidden, self.disparity)
+            self.second.take(self._alignment, self._completion, self._unhidden, self.disparity, self.confidence)
         self._judge()
 
     @property
@@ -156,10 +156,7 @@ class MatchingPlan:
         return self._sweeps.unhidden
 
     def _judge(self) -> None:
-        """Find confidence and variance."""
+        """Find confidence and variance, which the choice of a second map gives if there is one."""
         if self.second is None:
             self._sweeps.judge(self._sweeps.last, self.disparity, self._unhidden, self.confidence)
-        else:
-            self._kernels.copy(self.second.confidence, self.confidence)
-            self._kernels.copy(self.second.variance, self._sweeps.judging.variance)
         self._frame.known.take_out(self.confidence)
