@@ -1,5 +1,6 @@
 """Contradictions between the pictures of a light field and the places of their cameras, in sentences."""
 
+import math
 from collections.abc import Iterator
 from itertools import islice
 
@@ -258,5 +259,8 @@ def _order(
 
 def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     """Correlation of two pictures; 0 if one of them is plain, or has no pixels."""
-    plain = min(a.size, b.size) == 0 or min(a.std(), b.std()) == 0
-    return 0.0 if plain else float(np.corrcoef(a.ravel(), b.ravel())[0, 1])
+    if a.size == 0 or b.size == 0:
+        return 0.0
+    a, b = a - a.mean(), b - b.mean()
+    spread = math.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b)))
+    return float(np.vdot(a, b)) / spread if spread else 0.0

@@ -25,8 +25,8 @@ import time
 import traceback
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -42,16 +42,20 @@ from tests.io.targets import TARGETS
 
 MEMORY = 256 << 20  # bytes on top of what Python and the libraries take; the samples are far below a megabyte
 SPACE = 2 << 30  # of addresses: an allocation beyond it fails rather than being found out later
-SECONDS, WAITING = 20, 120  # of work; and on the clock, where others may be at work, too
+SECONDS, WAITING = 20, 20  # of work; and of nothing to do for the core: on a busy machine, others are waited for
 BATCH = 250  # examples for each process
 PATIENCE = 900  # seconds for each process
-_TIMERS = ((signal.ITIMER_PROF, signal.SIGPROF, SECONDS), (signal.ITIMER_REAL, signal.SIGALRM, WAITING))
+_LOOK = 5  # seconds between two looks at how long the core has had nothing to do
 _DEEP = "a/b/c/d/e/f/g/h"  # more folders than any name in `_WORDS` leads up
 _KNOWING = 0.5  # share of the damage that knows the format
 _LONGEST = 1200  # characters of a sentence
 
 _EXTREMES = [0, 1, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0x10000, 100_000, 2**63 - 1, 2**64 - 1]
 _WORDS = [b"nan", b"inf", b"-1", b"1e400", b"99999999999999999999", b"0", b"[]", b"\xff\xfe", b"\n", b"../../x", b'"']
+
+
+class TooLong(BaseException):
+    """An end of the time for an example: no `Exception`, which readers take for damage and refuse in a sentence."""
 
 
 @dataclass
@@ -210,11 +214,8 @@ def one(name: str, source: Path, seed: int, within: Path) -> str:
         else:
             shutil.copy(source, place)
         damage(place, rng)
-        for timer, sign, seconds in _TIMERS:
-            signal.signal(sign, _too_long)
-            signal.setitimer(timer, seconds)
         try:
-            with warnings.catch_warnings():
+            with _limited(), warnings.catch_warnings():
                 warnings.simplefilter("error", RuntimeWarning)
                 found = TARGETS[name].read(place, rng)
         except LightFieldError as error:
@@ -229,14 +230,37 @@ def one(name: str, source: Path, seed: int, within: Path) -> str:
             if views is not None and views.dtype == np.float32 and not np.isfinite(views).all():
                 return "views that are not finite"
             result = "read"
-        finally:
-            for timer, _, _ in _TIMERS:
-                signal.setitimer(timer, 0)
         return result
 
 
-def _too_long(*_: object) -> None:
-    raise TimeoutError(f"more than {SECONDS} seconds of work, or {WAITING} on the clock")
+@contextmanager
+def _limited() -> Iterator[None]:
+    """Raise TooLong in the block after `SECONDS` of work, or after `WAITING` in which nobody worked on this core."""
+    before = _idle()
+
+    def works(*_: object) -> None:
+        raise TooLong(f"more than {SECONDS} seconds of work")
+
+    def waits(*_: object) -> None:
+        if _idle() - before > WAITING:
+            raise TooLong(f"more than {WAITING} seconds of waiting")
+
+    signal.signal(signal.SIGPROF, works)
+    signal.signal(signal.SIGALRM, waits)
+    signal.setitimer(signal.ITIMER_PROF, SECONDS, SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, _LOOK, _LOOK)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
+        signal.setitimer(signal.ITIMER_REAL, 0)
+
+
+def _idle() -> float:
+    """Return the seconds since the start of the machine in which the cores of this process had nothing to do."""
+    cores = {f"cpu{core}" for core in os.sched_getaffinity(0)}
+    lines = (line.split() for line in Path("/proc/stat").read_text().splitlines())
+    return sum(int(words[4]) for words in lines if words[0] in cores) / os.sysconf("SC_CLK_TCK") / len(cores)
 
 
 def _batch(names: list[str], sources: dict[str, Path], seeds: range, log: Path, core: int) -> None:

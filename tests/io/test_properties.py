@@ -2,11 +2,13 @@
 
 import io
 import os
+import signal
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,7 @@ from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import FORMATS, read, read_map, read_mask, write_description, write_pfm
+from lfgpu.io.damage import read_as
 from lfgpu.io.flips import FLIPS, flipped
 from lfgpu.io.images import read_image
 
@@ -64,6 +67,49 @@ def test_the_fuzzer_finds_a_broken_reader(monkeypatch: pytest.MonkeyPatch) -> No
     assert sorted(tally.failures) == ["seed 0, npy: the process ended with 7", "seed 1, npy: 'Traceback'"]
     assert tally.summary()["inputs_of_each"] == {"npy": 600}  # what came after a crash is tried, too
     assert tally.refused == 598
+
+
+def endless() -> None:
+    while True:
+        pass
+
+
+@ON_LINUX
+@pytest.mark.parametrize("reader", [endless, signal.pause])
+def test_the_fuzzer_ends_what_takes_too_long(
+    reader: Callable[[], None], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Also where a reader takes everything for damage."""
+
+    def reading(path: Path, _: object) -> None:
+        with read_as(path, "a file"):
+            while True:  # a signal that is not for the fuzzer ends a pause, too
+                reader()
+
+    sample = tmp_path / "sample"
+    sample.write_bytes(b"1")
+    seconds = iter(range(1000))
+    monkeypatch.setattr(fuzz, "_idle", lambda: 15 * next(seconds) if reader is signal.pause else 0)
+    monkeypatch.setattr(fuzz, "SECONDS", 0.2)
+    monkeypatch.setattr(fuzz, "_LOOK", 0.01)
+    monkeypatch.setitem(fuzz.TARGETS, "slow", SimpleNamespace(read=reading))
+    assert "TooLong: more than" in fuzz.one("slow", sample, 1, tmp_path)
+
+
+@ON_LINUX
+def test_the_fuzzer_waits_for_others_that_work_on_its_core(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    sample = tmp_path / "sample"
+    sample.write_bytes(b"1")
+    looks: list[int] = []
+
+    def reading(*_: object) -> None:
+        while len(looks) < 20:
+            signal.pause()
+
+    monkeypatch.setattr(fuzz, "_idle", lambda: looks.append(1) or 0)
+    monkeypatch.setattr(fuzz, "_LOOK", 0.001)
+    monkeypatch.setitem(fuzz.TARGETS, "slow", SimpleNamespace(read=reading))
+    assert fuzz.one("slow", sample, 1, tmp_path) == "read"
 
 
 BEGINNINGS = [

@@ -113,7 +113,7 @@ def _moved(picture: NDArray[np.float32], lenses: Microlenses) -> tuple[Microlens
     if len(k) < _LEAST_SPOTS:
         return None, math.inf
     centres = lenses.centres(k.astype(np.float64), row.astype(np.float64))
-    off = np.array([_off_middle(picture, centre, reach) for centre in centres])
+    off = _off_middle(picture, centres, reach)
     design, there = np.stack([np.ones(len(k)), k, row], axis=1), centres + _GAIN * off
     # Spots at the rim have darkness on one side and neighbours on the other: they count if they agree with the rest.
     limits = np.array(picture.shape[::-1]) - 1 - 3 * reach
@@ -127,13 +127,12 @@ def _moved(picture: NDArray[np.float32], lenses: Microlenses) -> tuple[Microlens
     return Microlenses(origin, along, down, lenses.square), float(np.median(np.hypot(*off[kept].T)))
 
 
-def _off_middle(picture: NDArray[np.float32], centre: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
-    """Measure how far the mean of a spot is off a point (x, y), both under a round window around that point."""
-    left, top = (math.ceil(c - reach) for c in centre)
-    right, bottom = (math.floor(c + reach) for c in centre)
-    x, y = np.arange(left, right + 1) - centre[0], np.arange(top, bottom + 1) - centre[1]
-    distance = np.hypot(x, y[:, None]) / reach
-    weight = np.where(distance < 1, np.cos(np.pi / 2 * np.minimum(distance, 1)) ** 2, 0.0)
-    weight = weight * picture[top : bottom + 1, left : right + 1]
-    total = max(float(weight.sum()), 1e-12)
-    return np.array([float((weight * x).sum()) / total, float((weight * y[:, None]).sum()) / total])
+def _off_middle(picture: NDArray[np.float32], centres: NDArray[np.float64], reach: float) -> NDArray[np.float64]:
+    """Measure how far the mean of each spot is off a point (x, y), both under a round window around that point."""
+    first = np.ceil(centres - reach).astype(np.int64)
+    columns, rows = (first[:, [axis]] + np.arange(int(2 * reach) + 1) for axis in (0, 1))
+    x, y = (columns - centres[:, [0]])[:, None], (rows - centres[:, [1]])[:, :, None]
+    distance = np.minimum(np.hypot(x, y) / reach, 1.0)
+    weight = np.cos(np.pi / 2 * distance) ** 2 * picture[rows[:, :, None], columns[:, None]]
+    total = np.maximum(weight.sum((1, 2)), 1e-12)
+    return np.stack([(weight * x).sum((1, 2)), (weight * y).sum((1, 2))], axis=1) / total[:, None]
