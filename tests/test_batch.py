@@ -20,6 +20,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import distributed
 import imageio.v3 as iio
 import numpy as np
 import pytest
@@ -235,6 +236,43 @@ def test_interruption_is_clean_and_the_next_run_goes_on(scene_folders: Path, und
     assert (out_folder / REPORT_FILE).is_file()
     assert_same_maps(out_folder, undisturbed)
     assert_nothing_left_over(out_folder)
+
+
+def test_ctrl_c_while_workers_start_ends_the_batch_afterwards(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It was ignored."""
+    closed, mask = [], signal.pthread_sigmask(signal.SIG_BLOCK, [])
+
+    @contextlib.contextmanager
+    def starting(self: Cluster) -> Iterator[None]:
+        assert signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])  # which the workers inherit
+        os.kill(os.getpid(), signal.SIGINT)
+        yield
+        closed.append(self)
+
+    monkeypatch.setattr(Cluster, "_local", starting)
+    with pytest.raises(KeyboardInterrupt), local():
+        pytest.fail("the cluster was used")
+    assert len(closed) == 1
+    assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == mask
+
+
+def test_ctrl_c_among_results_ends_the_batch(
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Dask sends a message from the destructor of each result, in which Python dropped it: all items were done."""
+    release = distributed.Future.release
+
+    def releasing(self: Any) -> None:
+        if threading.current_thread() is threading.main_thread():
+            monkeypatch.undo()
+            signal.raise_signal(signal.SIGINT)
+        release(self)
+
+    monkeypatch.setattr(distributed.Future, "release", releasing)
+    options = ["--preset", "fast", "--disparity-range", "-1.2,1.2", "--set", "alignment.iterations=100"]
+    outcome = lfgpu("batch", scene_folders, "-o", tmp_path / "out", *options, "--device", "cpu")
+    assert outcome.exit_code == 130, outcome.output
+    assert re.search(r"^lfgpu: interrupted after \d of 5 items; ", outcome.stderr), outcome.stderr
 
 
 def test_a_full_disk_fails_items_and_room_brings_them_back(

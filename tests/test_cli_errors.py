@@ -4,8 +4,10 @@ import errno
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -108,6 +110,37 @@ def test_interruption_leaves_nothing(
     monkeypatch.setattr(where, raising(KeyboardInterrupt()))
     refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
     assert not list(tmp_path.iterdir())
+
+
+class Dropping:
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)  # Python drops what it raises here
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="processes send no Ctrl-C there")
+def test_an_interruption_that_comes_in_a_destructor_comes_again(
+    recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(*_: object, **__: object) -> None:
+        Dropping()
+        threading.Event().wait(60)
+        raise LightFieldError("it did not come.")
+
+    monkeypatch.setattr("lfgpu.io.read", read)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
+
+
+def test_what_fails_after_an_interruption_is_not_its_cause(
+    recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read(*_: object, **__: object) -> None:
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise LightFieldError("a.png is truncated.")
+
+    monkeypatch.setattr("lfgpu.io.read", read)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
 
 
 @pytest.mark.parametrize(

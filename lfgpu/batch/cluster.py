@@ -113,10 +113,14 @@ class Cluster:
             folder = TemporaryDirectory(prefix="lfgpu-", dir=place, ignore_cleanup_errors=True)
             settings["temporary-directory"] = self._stack.enter_context(folder)
         self._stack.enter_context(dask.config.set(settings))
-        if self._scheduler is None:
-            self._start()
-        else:
-            self._connect()
+        try:
+            if self._scheduler is None:
+                self._start()
+            else:
+                self._connect()
+        except BaseException:
+            self._stack.close()
+            raise
         return self
 
     def __exit__(
@@ -196,10 +200,9 @@ class Cluster:
 
         for name in ("distributed", "asyncio", "tornado"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
-        with _ctrl_c_for_nobody():  # while the workers start
-            cluster = self._local()
-        self._cluster = self._stack.enter_context(cluster)
-        self._client = self._stack.enter_context(Client(cluster))
+        with _ctrl_c_waits():  # while the workers start
+            self._cluster = self._stack.enter_context(self._local())
+        self._client = self._stack.enter_context(Client(self._cluster))
 
     def _local(self) -> Any:
         """Start a local cluster; if a worker dies meanwhile, perhaps for want of memory, start it anew."""
@@ -371,16 +374,22 @@ class Cluster:
 
 
 @contextmanager
-def _ctrl_c_for_nobody() -> Iterator[None]:
-    """Ignore Ctrl-C in this block, and in the processes that are started in it."""
+def _ctrl_c_waits() -> Iterator[None]:
+    """Raise Ctrl-C at the end of this block; the processes that are started in it ignore it."""
     if threading.current_thread() is not threading.main_thread():  # only the main thread may change signal handlers
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has none
+    pressed: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda sign, _: pressed.append(sign))
+    mask(signal.SIG_BLOCK, {signal.SIGINT})  # of this thread; new threads and their processes inherit it
     try:
         yield
     finally:
+        mask(signal.SIG_UNBLOCK, {signal.SIGINT})
         signal.signal(signal.SIGINT, before)
+    if pressed:
+        raise KeyboardInterrupt
 
 
 def _on_worker(job: Job, devices: tuple[str, ...], threads: int | None) -> tuple[str, Entry]:

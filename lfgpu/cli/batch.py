@@ -98,7 +98,7 @@ def batch(
     from lfgpu.batch.run import Batch
     from lfgpu.batch.work import Settings
     from lfgpu.cli.console import counting, output
-    from lfgpu.cli.failures import command_line
+    from lfgpu.cli.failures import command_line, is_interruption
     from lfgpu.io import check_writable
 
     check_writable(out)
@@ -143,7 +143,9 @@ def batch(
                 cluster,
                 on_progress=lambda now: show(now.summary.computed + len(now.summary.failed), now.todo, _said(now)),
             )
-    except KeyboardInterrupt:
+    except BaseException as error:
+        if not is_interruption(error):
+            raise
         done = work.summary.kept + work.summary.computed
         typer.echo(
             f"lfgpu: interrupted after {done} of {len(items)} items; run the same command again to continue.", err=True

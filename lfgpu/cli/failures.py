@@ -1,7 +1,14 @@
 """Errors of commands: each becomes one sentence on stderr and an exit code."""
 
+import _thread
 import errno
+import os
 import shlex
+import signal
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import typer
@@ -16,6 +23,7 @@ _MEMORY = "out of memory; use fewer views (--views cross) or smaller ones."
 _DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross) or --device cpu."
 
 _COMMAND = "lfgpu.command"
+_AGAIN = 0.2  # seconds after which Ctrl-C comes again that was lost
 
 
 def command_line(ctx: typer.Context) -> str:
@@ -37,10 +45,13 @@ class Group(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command that the arguments name."""
         try:
-            return super().invoke(ctx)
-        except KeyboardInterrupt:
-            raise self._exit(_INTERRUPTION, _INTERRUPTED) from None
-        except (LfgpuError, MemoryError, OSError, RuntimeError) as error:
+            with _interruptions_arrive():
+                return super().invoke(ctx)
+        except typer.Exit:
+            raise
+        except (Exception, KeyboardInterrupt) as error:
+            if is_interruption(error):
+                raise self._exit(_INTERRUPTION, _INTERRUPTED) from None
             sentence = _sentence(error)
             if sentence is None:
                 raise
@@ -51,7 +62,37 @@ class Group(TyperGroup):
         return typer.Exit(code)
 
 
-def _sentence(error: Exception) -> str | None:
+def is_interruption(error: BaseException | None) -> bool:
+    """Tell whether an error is Ctrl-C, or was raised by what had to be tidied up after Ctrl-C."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
+
+
+@contextmanager
+def _interruptions_arrive() -> Iterator[None]:
+    """Raise Ctrl-C again in the block where it was lost: Python drops what is raised in destructors and callbacks."""
+    before = sys.unraisablehook
+
+    def again() -> None:
+        time.sleep(_AGAIN)
+        if sys.unraisablehook is lost:
+            os.kill(os.getpid(), signal.SIGINT)
+
+    def lost(what: Any) -> None:
+        if issubclass(what.exc_type, KeyboardInterrupt):
+            _thread.start_new_thread(again, ())  # which is not waited for: here, Ctrl-C would be lost again
+        else:
+            before(what)
+
+    sys.unraisablehook = before if os.name == "nt" else lost  # there, os.kill ends the process
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+
+
+def _sentence(error: BaseException) -> str | None:
     """Return the sentence about an error; None if it is a bug."""
     if isinstance(error, LfgpuError):
         return str(error)
