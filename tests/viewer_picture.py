@@ -1,6 +1,7 @@
 """The picture and the film of the viewer in the README and the pages: the page in headless Chromium.
 
-python tests/viewer_picture.py MY/LIGHT_FIELD    # writes docs/viewer.png and docs/viewer.webp
+lfgpu scene still_life -o still_life --grid 9x9 --size 384x384
+python tests/viewer_picture.py still_life    # writes docs/viewer.png and docs/viewer.webp
 """
 
 import io
@@ -88,7 +89,7 @@ def main(folder: str) -> None:
         picture.save(DOCS / "viewer.png", optimize=True)
         first, *others = (frame.resize(SHOWN, Image.Resampling.LANCZOS) for frame in film(page))
     first.save(
-        DOCS / "viewer.webp", save_all=True, append_images=others, duration=2 * _STEP, loop=0, quality=38, method=6
+        DOCS / "viewer.webp", save_all=True, append_images=others, duration=2 * _STEP, loop=0, quality=24, method=6
     )
 
 
