@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -39,7 +40,7 @@ def content(path: Path) -> Any:
 
 def newest(names: Iterable[str]) -> str:
     """Return the file of the newest version among `accuracy-VERSION.json`."""
-    return max(names, key=lambda name: [int(number) for number in _version(name).split(".")])
+    return max(names, key=lambda name: [int(number) for number in re.findall(r"\d+", name)])
 
 
 @cache
@@ -50,8 +51,9 @@ def _read(path: Path, _: int) -> Any:
         raise BenchmarkError(f"{path} is not a JSON file.") from error
 
 
-def _version(name: str) -> str:
-    return name.removeprefix("accuracy-").removesuffix(".json")
+def _version(run: Run) -> str:
+    major, minor, *_ = (run.versions["lfgpu"] or "").split(".")
+    return f"{major}.{minor}"
 
 
 def _rows(path: Path) -> Sequence[dict[str, Any]]:
@@ -64,7 +66,7 @@ def _rows(path: Path) -> Sequence[dict[str, Any]]:
 def _accuracy(path: Path) -> str:
     """Write MSE x 100 and the three BadPix of each scene and preset; the best of a row is bold."""
     run = results.load(path)
-    return f"{_errors_by_preset(_range_found(run))}\n\n{_where(run, path)}\n"
+    return f"{_errors_by_preset(_range_found(run))}\n\n{_where(run)}\n"
 
 
 def _errors_by_preset(found: Sequence[Record]) -> str:
@@ -82,11 +84,12 @@ def _bold(cells: Sequence[str], best: Sequence[float]) -> str:
     return " / ".join(f"**{c}**" if float(c) == b else c for c, b in zip(cells, best, strict=True))
 
 
-def _compared(accuracy: Path, published: Path) -> str:
+def _compared(accuracy: Path, learned: Path, published: Path) -> str:
     """Write MSE x 100 and BadPix(0.07) of the presets and of published methods, and the time where it is known."""
-    run = results.load(accuracy)
+    runs_of = {"no": results.load(accuracy), "on generated scenes": results.load(learned)}
     ours = [
-        (f"**lfgpu {_version(accuracy.name)}, `{preset}`**", "no", {r.case: r.errors for r in of}, _seconds(of))
+        (f"**lfgpu {_version(run)}, `{preset}`**", trained, {r.case: r.errors for r in of}, _idle(run) and _seconds(of))
+        for trained, run in runs_of.items()
         for preset in dict.fromkeys(r.details["preset"] for r in _range_found(run))
         for of in [[r for r in _range_found(run) if r.details["preset"] == preset]]
     ]
@@ -99,23 +102,26 @@ def _compared(accuracy: Path, published: Path) -> str:
         for name, trained, errors, time in sorted(ours + others, key=lambda row: row[1])
     ]
     columns = ("method", "trained", *(f"`{scene}`" for scene in _COMPARED), f"time, `{_COMPARED[0]}`")
-    return f"{Table('', columns, 2, rows).markdown}\n\n{_where(run, accuracy)}\n"
+    return f"{Table('', columns, 2, rows).markdown}\n\n{' '.join(map(_where, runs_of.values()))}\n"
 
 
 def _versions(*paths: Path) -> str:
     """Write MSE x 100 and BadPix(0.07) of `accurate`, a column for each version, and the time for one scene."""
-    found = [
-        {r.case: r for r in _range_found(results.load(path)) if r.details["preset"] == "accurate"} for path in paths
-    ]
+    versions = [results.load(path) for path in paths]
+    found = [{r.case: r for r in _range_found(run) if r.details["preset"] == "accurate"} for run in versions]
     rows = [(f"`{scene}`", *(_scene(of[scene].errors) for of in found)) for scene in found[-1]]
     times = (_seconds(list(of.values())) or 0.0 for of in found)
     rows.append((f"time, `{_COMPARED[0]}`, 2 cores of a CPU", *(f"{time:.1f} s" for time in times)))
-    return Table("", ("scene", *(_version(path.name) for path in paths)), 1, rows).markdown
+    return Table("", ("scene", *map(_version, versions)), 1, rows).markdown
 
 
-def _where(run: Run, path: Path) -> str:
+def _where(run: Run) -> str:
     used = "the GPU" if run.records[0].device.startswith("cuda") else "the CPU"
-    return f"lfgpu {_version(path.name)}, measured on {run.date[:10]} with {used} of: {run.where}."
+    return f"lfgpu {_version(run)}, measured on {run.date[:10]} with {used} of: {run.where}."
+
+
+def _idle(run: Run) -> bool:
+    return run.load is not None and run.load <= run.threads
 
 
 def _range_found(run: Run) -> list[Record]:
@@ -203,7 +209,7 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
     "accuracy": ((ACCURACY,), _accuracy),
     "backends": (("h100-vulkan.json",), _backends),
-    "compared": ((ACCURACY, PUBLISHED), _compared),
+    "compared": ((ACCURACY, "learned.json", PUBLISHED), _compared),
     "confidence": (("confidence.json",), lambda path: confidence.by_confidence(_rows(path)).markdown),
     "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),
     "forms": (("paper.json",), lambda path: paper.forms(results.load(path)).markdown),

@@ -302,12 +302,12 @@ def test_figures_are_those_of_result_files_and_each_is_on_a_page() -> None:
 def test_figures_and_tables_are_written(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     files, make = pages.TABLES["compared"]
     table = make(*(FOLDER / name for name in files))
-    run = json.loads((FOLDER / pages.ACCURACY).read_text(encoding="utf-8"))
-    ours = {r["details"]["preset"] for r in run["records"]}
+    accuracy, learned, _ = (json.loads((FOLDER / name).read_text(encoding="utf-8")) for name in files)
+    ours = {r["details"]["preset"] for run in (accuracy, learned) for r in run["records"]}
     others = json.loads((FOLDER / pages.PUBLISHED).read_text(encoding="utf-8"))["methods"]
     assert len(re.findall(r"^\| ", table, re.MULTILINE)) == 2 + len(ours) + len(others)
     assert all(method["source"] and f"| {method['name']} |" in table for method in others)
-    assert f"{run['machine']['cores']} cores" in table.splitlines()[-1]
+    assert f"{learned['machine']['cores']} cores" in table.splitlines()[-1]
     page = page_of(folder, MARKED.format("0.5"))
     first, second = figures.marks(page, folder)
     assert (first.found, first.wanted, first.source) == ("0.5", "123.4", "run.json rows/name=a?b/ms")
