@@ -1,6 +1,6 @@
 """From pictures of a checkerboard to depth: OpenCV calibrates an array of five cameras, lfgpu does the rest.
 
-    pip install -e '.[opencv]'
+    pip install 'lfgpu[opencv]'
     python examples/checkerboard.py
 
 The pictures are made here, of cameras that are turned a little and have lenses; with cameras of your own, read yours.

@@ -109,6 +109,7 @@ TRIALS: dict[str, Callable[[LightField, Path], Difference]] = {
     "opencv": lambda *_: _imported("cv2"),
     "png": _png,
     "tiff": _tiff,
+    "train": lambda *_: _imported("torch"),
     "video": _video,
     "viewer": _viewer,
     "xarray": lambda *_: _imported("xarray"),
@@ -125,6 +126,7 @@ PARTS = {
     "png": "PNG files, faster",
     "taichi": "a second backend",
     "tiff": "TIFF files",
+    "train": "weights for a rig with `lfgpu train`",
     "video": "videos as input, films as MP4",
     "viewer": "the viewer in the browser",
     "xarray": "light fields and maps as xarray datasets",
@@ -224,7 +226,7 @@ def _memory() -> Iterator[tuple[str, str]]:
 
 
 def _part(extra: str, missing: list[str]) -> str:
-    return f"not installed: {PARTS[extra]}; pip install -e '.[{extra}]'" if missing else f"installed: {PARTS[extra]}"
+    return f"not installed: {PARTS[extra]}; pip install 'lfgpu[{extra}]'" if missing else f"installed: {PARTS[extra]}"
 
 
 def _bytes_in(folder: Path) -> int:

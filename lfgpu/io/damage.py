@@ -117,5 +117,5 @@ def require(module: str, extra: str, who: object) -> Any:
 
 
 def how_to_install(extra: str) -> str:
-    """Say how to install the libraries of an extra, as the last part of a sentence."""
-    return f"install it from the folder of lfgpu's source: pip install -e '.[{extra}]'"
+    """Say how to install the libraries of an extra beside lfgpu, as the last part of a sentence."""
+    return f"install it with: pip install 'lfgpu[{extra}]'"

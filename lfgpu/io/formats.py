@@ -60,7 +60,7 @@ class Format:
     that names the file at fault: if it is missing, damaged, of another kind, claims more than it can hold, contradicts
     others, or needs a library that is not there."""
     extra: str | None = None
-    """The extra of the package that (some files of) the format needs: pip install -e '.[EXTRA]'."""
+    """The extra of the package that (some files of) the format needs."""
     takes: tuple[str, ...] = ()
     """The keywords of `lfgpu.read` that have a meaning for it, "allow_missing" among them."""
     inside: Callable[[Path], Inside] | None = None

@@ -62,7 +62,7 @@ class MapFormat:
     library: str | None = None
     """The library that it needs besides those of the package."""
     extra: str | None = None
-    """The extra of the package that brings it: pip install -e '.[EXTRA]'."""
+    """The extra of the package that brings it."""
 
     @property
     def is_available(self) -> bool:

@@ -173,5 +173,5 @@ def test_a_missing_library_is_named_with_its_extra(
     monkeypatch.setitem(__import__("sys").modules, LIBRARIES[name], None)
     extra = next(entry.extra for entry in FORMATS if entry.name == SAMPLES[name].format)
     text = refusal(lambda: read(written[name]))
-    assert f"pip install -e '.[{extra}]'" in text
+    assert f"pip install 'lfgpu[{extra}]'" in text
     assert str(written[name]) in text

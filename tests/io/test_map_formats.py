@@ -321,7 +321,7 @@ def test_without_openexr_it_is_said_how_to_get_it(tmp_path: Path, monkeypatch: p
     a_map().save(tmp_path / "a.exr")
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     for action in (lambda: load(tmp_path / "a.exr"), lambda: a_map().save(tmp_path / "b.exr")):
-        assert "pip install -e '.[exr]'" in refusal(action)
+        assert "pip install 'lfgpu[exr]'" in refusal(action)
 
 
 # --- damaged files ---

@@ -174,4 +174,4 @@ def test_without_what_the_viewer_needs_no_address_is_printed(tmp_path: Path, mon
     said = CliRunner().invoke(app, ["view", str(tmp_path / "map.pfm"), "--port", "0"])
     assert said.exit_code == 1
     assert said.stdout == ""
-    assert "pip install -e '.[viewer]'" in said.stderr
+    assert "pip install 'lfgpu[viewer]'" in said.stderr
