@@ -99,7 +99,11 @@ def _staged(target: Path, place: Path) -> Iterator[Path]:
                 parent.mkdir()
                 made.append(parent)
         with _own_folder(place) as folder:
-            yield folder / target.name
+            try:
+                yield folder / target.name
+            except LightFieldError as error:  # it may name a file there, which nobody will find
+                error.args = (str(error).replace(f"{folder}{os.sep}", f"{place}{os.sep}"),)
+                raise
     except BaseException as error:
         for parent in reversed(made):
             with suppress(OSError):  # somebody else may have put something there by now

@@ -1,5 +1,7 @@
 """Files and folders are written whole or not at all."""
 
+import errno
+import re
 import signal
 import subprocess
 import sys
@@ -73,6 +75,13 @@ def test_a_folder_is_not_written_at_all(tmp_path: Path, exists: bool) -> None:
     with pytest.raises(RuntimeError, match="mine"):
         interrupted(atomic_folder(out), RuntimeError("mine"))
     assert sorted(tmp_path.rglob("*")) == ([out.parent, out] if exists else [])
+
+
+def test_an_error_names_the_place_where_a_file_was_to_be(tmp_path: Path) -> None:
+    wanted = re.escape(f"{tmp_path / 'out' / 'map.pfm'} cannot be written: No space")
+    folders = atomic_folder(tmp_path / "out")
+    with pytest.raises(LightFieldError, match=wanted), folders as folder, atomic_write(folder / "map.pfm"):
+        raise OSError(errno.ENOSPC, "No space left on device")
 
 
 def test_new_files_have_the_usual_permissions_and_links_are_written_through(tmp_path: Path) -> None:
