@@ -31,9 +31,12 @@ def host_peak() -> int | None:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * (1 if sys.platform == "darwin" else 1024)
 
 
-def resident() -> int | None:
-    """Return the resident memory of this process in bytes now; None where the system does not tell."""
-    return _status("VmRSS")
+def allocated() -> int | None:
+    """Return the memory that this process has allocated and uses, in bytes; None where the system does not tell.
+
+    Pages of files are left out, such as code: the system takes them away and brings them back as it needs memory.
+    """
+    return _status("RssAnon")
 
 
 def _status(name: str) -> int | None:

@@ -7,13 +7,14 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from typing import Annotated, Any
 
 import numpy as np
 import typer
 
 from benchmarks import cases, machine, rectify
-from benchmarks.memory import gpu_used, resident
+from benchmarks.memory import allocated, gpu_used
 from benchmarks.options import CaseName, DeviceName, Out, Preset, check_out, save, say
 from lfgpu import DepthStream, LightField, LightFieldError, Rectifier, StreamResult, scenes
 
@@ -21,7 +22,7 @@ RANGE = (-1.0, 1.0)
 _THREADS = 2  # that push
 _LOOKS = 20  # at memory, evenly
 _SETTLED = 0.3  # share of the looks until which memory may grow
-_SLACK = 16 << 20  # bytes: what an allocator may keep
+_SLACK = 4 << 20  # bytes: what an allocator may keep
 _DEVICE_SLACK = 64 << 20
 _DROP_OUT, _CUT, _BAD = 0.2, 0.02, 0.05  # shares of the frames
 _UNKNOWN = 0.05  # share of a map that rectification may leave without views, at the border
@@ -206,7 +207,7 @@ def _outcome(result: StreamResult, bad: bool, allowed: float) -> list[str]:
 
 def _look(found: Found) -> None:
     gc.collect()
-    host = resident()
+    host = allocated()
     if host is not None:
         found.host_bytes.append(host)
     gpu = gpu_used()
@@ -219,8 +220,14 @@ def _judge(found: Found) -> None:
 
 
 def grown(name: str, looks: list[int], slack: int = _SLACK) -> list[str]:
-    """Return a sentence if memory grew by more than `slack` after the first looks at it."""
+    """Return a sentence if memory went on growing after the first looks at it, by more than `slack`.
+
+    A leak grows in each third of the looks, by the same; what is used for the first time late makes one step.
+    """
     settled = looks[int(_SETTLED * len(looks)) :]
-    if not settled or settled[-1] - settled[0] <= slack:
+    if not settled:
         return []
-    return [f"memory of the {name} grew by {(settled[-1] - settled[0]) / 2**20:.0f} MiB after it should have settled."]
+    ends = [settled[third * (len(settled) - 1) // 3] for third in range(4)]
+    if 3 * min(after - before for before, after in pairwise(ends)) <= slack:
+        return []
+    return [f"memory of the {name} grew by {(ends[-1] - ends[0]) / 2**20:.0f} MiB after it should have settled."]

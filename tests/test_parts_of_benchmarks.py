@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -133,10 +134,22 @@ def test_soak_notices_a_lost_count(monkeypatch: pytest.MonkeyPatch) -> None:
     assert any("counts are wrong" in problem for problem in soaked(40).problems)
 
 
+def test_soak_notices_frames_that_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept, outcome = [], soak._outcome
+
+    def keeping(*arguments: Any) -> list[str]:
+        kept.append(np.ones((9, 24, 24, 3), np.uint8))  # as much as the views of a frame
+        return outcome(*arguments)
+
+    monkeypatch.setattr(soak, "_outcome", keeping)
+    assert any("memory of the host grew" in problem for problem in soaked(800).problems)
+
+
 def test_soak_notices_memory_that_grows() -> None:
     steady = soak.Found({}, host_bytes=[50 << 20, *[100 << 20] * 19])
-    growing = soak.Found({}, host_bytes=[(100 + 3 * look) << 20 for look in range(20)])
-    for found, problems in ((steady, 0), (growing, 1)):
+    late = soak.Found({}, host_bytes=[*[100 << 20] * 15, *[130 << 20] * 5])  # something is used for the first time
+    growing = soak.Found({}, host_bytes=[(400 + 3 * look) << 18 for look in range(20)])
+    for found, problems in ((steady, 0), (late, 0), (growing, 1)):
         soak._judge(found)
         assert len(found.problems) == problems
 
