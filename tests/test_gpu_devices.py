@@ -52,6 +52,18 @@ def refused(monkeypatch: pytest.MonkeyPatch, *devices: vulkan.VulkanDevice) -> s
     return str(error.value)
 
 
+def test_a_child_of_a_process_with_taichi_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The hook of a forked child runs here without a child."""
+    monkeypatch.setattr(runtime, "_forked", False)
+    monkeypatch.setattr(runtime.impl, "get_runtime", lambda: SimpleNamespace(prog=None))
+    runtime._in_child()
+    runtime.alone()
+    monkeypatch.setattr(runtime.impl, "get_runtime", lambda: SimpleNamespace(prog="started"))
+    runtime._in_child()
+    with pytest.raises(BackendError, match='processes by "spawn"'):
+        runtime.alone()
+
+
 def test_a_gpu_with_memory_of_its_own_comes_first(monkeypatch: pytest.MonkeyPatch) -> None:
     there(monkeypatch, SOFTWARE, INTEGRATED, GPU)
     assert vulkan.choose() == GPU

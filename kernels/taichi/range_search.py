@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
-from .memory import DeviceArray, empty, flat, optional, table
+from .memory import DeviceArray, empty, flat, optional, table, upload
 from .plane_sweep import shift_of, within
 from .runtime import once, run, start
 
@@ -93,9 +93,9 @@ def _details_kernel(
 
 
 @once
-def _line(line: tuple[int, ...]) -> ti.Ndarray:
-    indices = ti.ndarray(ti.i32, len(line))
-    indices.from_numpy(np.array(line, np.int32))
+def _line(line: tuple[int, ...]) -> DeviceArray:
+    indices = empty((len(line),), scalar=ti.i32)
+    upload(np.array(line), indices)
     return indices
 
 

@@ -4,7 +4,7 @@ import contextlib
 import io
 import os
 import threading
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
 from math import prod
@@ -28,7 +28,7 @@ Where an iteration is a whole row or view, the loop is made as much longer and a
 
 _ARCHES = {"cuda:0": ti.cuda, "vulkan": ti.vulkan, "metal": ti.metal, "cpu": ti.cpu}
 _LOCK = threading.RLock()
-_process: int | None = None  # the one in which Taichi was started
+_forked = False  # True in a child of a process that had started Taichi
 
 Kernels = TypeVar("Kernels")
 
@@ -46,7 +46,6 @@ def devices() -> tuple[str, ...]:
 
 def start(device: str) -> None:
     """Start Taichi on `device` unless it runs there; BackendError if it runs elsewhere."""
-    global _process
     with _LOCK:
         if impl.get_runtime().prog is None:
             _say_only_errors()
@@ -55,7 +54,6 @@ def start(device: str) -> None:
             with contextlib.redirect_stdout(io.StringIO()):  # a line that says that it starts
                 # Fast mathematics would cost digits and gain nothing where kernels wait for memory.
                 ti.init(_ARCHES[device], log_level=_level(), fast_math=False, cpu_max_num_threads=get_threads())
-        _process = _process or os.getpid()
         running = _running()
         if running != device:
             raise BackendError(
@@ -64,16 +62,23 @@ def start(device: str) -> None:
             )
 
 
-@contextlib.contextmanager
-def alone() -> Iterator[None]:
-    """Threads wait for each other: what Taichi does must not overlap."""
-    with _LOCK:
-        if os.getpid() != _process:
-            raise BackendError(
-                "Taichi was started before this process was forked, and its threads did not come along: start "
-                'processes by "spawn", or use another backend.'
-            )
-        yield
+def alone() -> contextlib.AbstractContextManager[bool]:
+    """Return the lock that makes threads wait for each other: what Taichi does must not overlap."""
+    if _forked:
+        raise BackendError(
+            "Taichi was started before this process was forked, and its threads did not come along: start "
+            'processes by "spawn", or use another backend.'
+        )
+    return _LOCK
+
+
+def _in_child() -> None:
+    global _forked
+    _forked = impl.get_runtime().prog is not None
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_in_child)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,48 +111,52 @@ def run(kernel: Any, *arguments: Any) -> Any:
     Annotations of kernels name the types of all arguments, so that there is one compiled kernel for the values of its
     templates.
     """
-    arguments = tuple(each.values if isinstance(each, DeviceArray) else each for each in arguments)
+    primal = kernel._primal
+    key = primal, *[arguments[slot] for slot in primal.template_slot_locations]
     with alone():
-        primal = kernel._primal
-        key = primal, *(arguments[slot] for slot in primal.template_slot_locations)
         if key in _prepared:
             return _prepared[key](*arguments)
-        number = kernel(*arguments)
-        _prepared[key] = _prepare(primal, arguments)
+        values = tuple(each.values if isinstance(each, DeviceArray) else each for each in arguments)
+        number = kernel(*values)
+        _prepared[key] = _prepare(primal, values)
         return number
 
 
 def _prepare(primal: Any, arguments: tuple[Any, ...]) -> Callable[..., Any]:
     """Return what launches a kernel that is compiled for arguments like these."""
-    setters: list[tuple[int, tuple[int], str]] = []
-    for place, argument in enumerate(primal.arguments):
-        wanted = argument.annotation
-        if place in primal.template_slot_locations:
-            continue
+    arrays: list[tuple[int, tuple[int]]] = []  # the place among the arguments, and among those that are no templates
+    reals: list[tuple[int, tuple[int]]] = []
+    wholes: list[tuple[int, tuple[int]]] = []
+    places = (place for place in range(len(arguments)) if place not in primal.template_slot_locations)
+    for index, place in enumerate(places):
+        wanted = primal.arguments[place].annotation
         if isinstance(wanted, NdarrayType) and isinstance(arguments[place], Ndarray):
-            setter = "set_arg_ndarray"
+            kind = arrays
         elif id(wanted) in primitive_types.real_type_ids:
-            setter = "set_arg_float"
+            kind = reals
         elif id(wanted) in primitive_types.integer_type_ids:
-            setter = "set_arg_int"
+            kind = wholes
         else:
-            return primal
-        setters.append((place, (len(setters),), setter))
+            return lambda *given: primal(*(each.values if isinstance(each, DeviceArray) else each for each in given))
+        kind.append((place, (index,)))
     program = impl.get_runtime().prog
     compiled = primal.compiled_kernels[primal.func, primal.mapper.lookup(arguments)[0], primal.autodiff_mode]
     binary = program.compile_kernel(program.config(), program.get_device_caps(), compiled)
-
-    waits = bool(primal.return_type) and _running() == "cuda:0"  # elsewhere a launch that returns a number waits
+    begin, go, returns = compiled.make_launch_context, program.launch_kernel, bool(primal.return_type)
+    waits = returns and _running() == "cuda:0"  # elsewhere a launch that returns a number waits
 
     def launch(*arguments: Any) -> Any:
-        context = compiled.make_launch_context()
-        for place, index, setter in setters:
-            value = arguments[place]
-            getattr(context, setter)(index, value.arr if setter == "set_arg_ndarray" else value)
-        program.launch_kernel(binary, context)
+        context = begin()
+        for place, index in arrays:
+            context.set_arg_ndarray(index, arguments[place].values.arr)
+        for place, index in reals:
+            context.set_arg_float(index, arguments[place])
+        for place, index in wholes:
+            context.set_arg_int(index, arguments[place])
+        go(binary, context)
         if waits:
             program.synchronize()
-        return context.get_struct_ret_float((0,)) if primal.return_type else None
+        return context.get_struct_ret_float((0,)) if returns else None
 
     return launch
 
@@ -166,6 +175,11 @@ def once(function: Callable[..., Kernels]) -> Callable[..., Kernels]:
 def on_cpu() -> bool:
     """True if the running Taichi computes on the CPU."""
     return _running() == "cpu"
+
+
+def stages_arrays() -> bool:
+    """True if arrays of the host go to the device through memory that Taichi takes from the driver for each launch."""
+    return _running() in ("vulkan", "metal")
 
 
 @cache

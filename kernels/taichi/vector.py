@@ -134,6 +134,6 @@ def clamp(x: DeviceArray, low: float, high: float, x_out: DeviceArray) -> None:
     run(_kernels().clamp, x, low, high, x_out)
 
 
-def _coefficient(value: float | DeviceArray) -> tuple[float, ti.Ndarray]:
+def _coefficient(value: float | DeviceArray) -> tuple[float, DeviceArray]:
     """Split a value into a number and a scalar, whose product the value is."""
     return (1.0, value) if isinstance(value, DeviceArray) else (value, one())
