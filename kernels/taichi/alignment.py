@@ -236,7 +236,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         slope_out: field,
     ):
         wide = width + _BORDER
-        for p in range(height * width):
+        for p in range(slope_out.shape[0]):
             x = p % width
             y = p // width
             d = disparity[p]

@@ -41,7 +41,7 @@ def _unmix_kernel(channels: int) -> Any:
         share: float,
         disparity_out: flat(),
     ):
-        for p in range(height * width):
+        for p in range(disparity_out.shape[0]):
             x = p % width
             y = p // width
             here = disparity[p]

@@ -46,7 +46,7 @@ def _evidence_kernel(
 
 @ti.kernel
 def _line_mean_kernel(values: flat(), height: int, width: int, down: int, across: int, reach: int, means_out: flat()):
-    for p in range(height * width):
+    for p in range(means_out.shape[0]):
         total = 0.0
         count = 0.0
         for k in range(-reach, reach + 1):
@@ -65,7 +65,7 @@ def _at(disparity: ti.template(), y: int, x: int, height: int, width: int):
 
 @ti.kernel
 def _unevenness_kernel(disparity: flat(), height: int, width: int, bend_out: flat(), relief_out: flat()):
-    for p in range(height * width):
+    for p in range(bend_out.shape[0]):
         x = p % width
         y = p // width
         bends = 0.0

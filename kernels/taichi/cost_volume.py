@@ -5,7 +5,7 @@ import taichi as ti
 from lfgpu.contract import REDUCTION
 
 from .memory import DeviceArray, flat, scratch
-from .nlm import inside, step_of
+from .nlm import inside, step_after, step_of
 from .runtime import TASK, on_cpu, run
 
 _SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
@@ -15,15 +15,16 @@ _SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
 def _total_kernel(weights: flat(), height: int, width: int, radius: int, totals_out: flat()):
     """Compute the weights of each pixel's window, itself included."""
     size = height * width
-    for p in range(size):
+    for p in range(totals_out.shape[0]):
         x = p % width
         y = p // width
         total = 1.0
+        step = step_of(0, radius)
         for k in range(weights.shape[0] // size):
-            step = step_of(k, radius)
             total += weights[k * size + p]  # 0 where the neighbour is outside
             if inside(x - step[0], y - step[1], height, width):
                 total += weights[k * size + p - step[1] * width - step[0]]
+            step = step_after(step, radius)
         totals_out[p] = total
 
 
@@ -77,8 +78,8 @@ def _pixels_kernel(
         for s in ti.static(range(_SLICES)):
             slices[s] = ti.min(first + s, last - 1) * size + p  # the last one again where there are fewer
             sums[s] = volume[slices[s]]
+        step = step_of(0, radius)
         for k in range(weights.shape[0] // size):
-            step = step_of(k, radius)
             away = step[1] * width + step[0]
             if inside(x + step[0], y + step[1], height, width):
                 weight = weights[k * size + p]
@@ -88,6 +89,7 @@ def _pixels_kernel(
                 weight = weights[k * size + p - away]
                 for s in ti.static(range(_SLICES)):
                     sums[s] += weight * volume[slices[s] - away]
+            step = step_after(step, radius)
         for s in ti.static(range(_SLICES)):
             if first + s < last:
                 average_out[slices[s]] = sums[s] / totals[p]

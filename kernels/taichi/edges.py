@@ -27,7 +27,7 @@ def _kernel(channels: int) -> Any:
         width: int,
         weights_out: flat(),
     ):
-        for p in range(height * width):
+        for p in range(weights_out.shape[0]):
             left = ti.max(p % width - reach, 0)
             right = ti.min(p % width + reach, width - 1)
             top = ti.max(p // width - reach, 0)

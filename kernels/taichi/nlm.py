@@ -25,6 +25,15 @@ def step_of(k: int, radius: int):
     return ti.Vector([place % side - radius, place // side - radius])
 
 
+@ti.func
+def step_after(step: ti.template(), radius: int):
+    """Return the step of `half_window` that follows one; `step_of` would divide."""
+    following = ti.Vector([step[0] + 1, step[1]])
+    if step[0] == radius:
+        following = ti.Vector([-radius, step[1] + 1])
+    return following
+
+
 @once
 def _feature_kernels(channels: int) -> SimpleNamespace:
     feature = ti.types.vector(3 * channels, ti.f32)
@@ -39,7 +48,7 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
         features_out: flat(channels=3 * channels),
     ):
         """Colour and its central differences in x and y, times `color` and `gradient`."""
-        for p in range(height * width):
+        for p in range(features_out.shape[0]):
             x = p % width
             y = p // width
             across = image[y * width + ti.min(x + 1, width - 1)] - image[y * width + ti.max(x - 1, 0)]
@@ -186,17 +195,18 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
     ):
         """Compute a pixel on each thread of a GPU."""
         size = height * width
-        for p in range(size):
+        for p in range(sums_out.shape[0]):
             x = p % width
             y = p // width
             total = begun(values, diagonal, has_diagonal, p)
+            step = step_of(0, radius)
             for k in range(weights.shape[0] // size):
-                step = step_of(k, radius)
                 q = step[1] * width + step[0]
                 if inside(x + step[0], y + step[1], height, width):
                     total += flow(weights[k * size + p], values[p], values[p + q])
                 if inside(x - step[0], y - step[1], height, width):
                     total += flow(weights[k * size + p - q], values[p], values[p - q])
+                step = step_after(step, radius)
             sums_out[p] = total
 
     return SimpleNamespace(rows=row_kernel, pixels=pixel_kernel)

@@ -3,7 +3,7 @@
 import taichi as ti
 
 from .memory import DeviceArray, flat
-from .nlm import inside, step_of
+from .nlm import inside, step_after, step_of
 from .runtime import run
 
 
@@ -27,14 +27,14 @@ def _ratio_kernel(
 ):
     """Compute a pixel on each thread: its two sums stay there."""
     size = height * width
-    for p in range(size):
+    for p in range(ratio_out.shape[0]):
         x = p % width
         y = p // width
         here = guide[p]
         above = numerator[p]
         below = denominator[p] + floor
+        step = step_of(0, radius)
         for k in range(weights.shape[0] // size):
-            step = step_of(k, radius)
             q = step[1] * width + step[0]
             if inside(x + step[0], y + step[1], height, width):
                 v = _shared(weights[k * size + p], guide[p + q] - here, support)
@@ -44,6 +44,7 @@ def _ratio_kernel(
                 v = _shared(weights[k * size + p - q], guide[p - q] - here, support)
                 above += v * numerator[p - q]
                 below += v * (denominator[p - q] + floor)
+            step = step_after(step, radius)
         ratio_out[p] = above / below
 
 
@@ -82,11 +83,11 @@ def _plane_kernel(
 ):
     """Compute a pixel on each thread: the sums of its regression stay there."""
     size = height * width
-    for p in range(size):
+    for p in range(plane_out.shape[0]):
         here = values[p]
         sums = _moments(certainty[p], 0.0, 0, 0)
+        step = step_of(0, radius)
         for k in range(weights.shape[0] // size):
-            step = step_of(k, radius)
             q = step[1] * width + step[0]
             if inside(p % width + step[0], p // width + step[1], height, width):
                 apart = values[p + q] - here
@@ -96,6 +97,7 @@ def _plane_kernel(
                 apart = values[p - q] - here
                 u = _shared(weights[k * size + p - q], apart, support) * certainty[p - q]
                 sums += _moments(u, apart, -step[0], -step[1])
+            step = step_after(step, radius)
         means = sums / sums[0]
         x = means[1]
         y = means[2]

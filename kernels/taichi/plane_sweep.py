@@ -60,15 +60,26 @@ def rooted(difference: float, softness: float):
     return result
 
 
+def _planes_of(channels: int, stored: Any) -> tuple[int, int, Any]:
+    """(channels of a plane, planes, type): a GPU reads channels of 8 and 16 bits together, as words of 32 bits."""
+    together = 1 if on_cpu() else min({ti.u8: 4, ti.u16: 2}.get(stored, 1), channels)
+    return together, -(-channels // together), stored if together == 1 else ti.u32
+
+
 @once
 def _planes_kernel(channels: int, stored: Any) -> Any:
+    together, planes, scalar = _planes_of(channels, stored)
+
     @ti.kernel
-    def planes_kernel(images: flat(stored, channels), size: int, planes_out: flat(stored)):
-        """Images of `size` pixels, channel by channel."""
+    def planes_kernel(images: flat(stored, channels), size: int, planes_out: flat(scalar)):
+        """Images of `size` pixels, plane by plane."""
         for i in range(images.shape[0]):
             n = i // size
-            for c in ti.static(range(channels)):
-                planes_out[(n * channels + c) * size + i - n * size] = images[i][c]
+            for m in ti.static(range(planes)):
+                value = ti.cast(images[i][m * together], scalar)
+                for c in ti.static(range(m * together + 1, min((m + 1) * together, channels))):
+                    value |= ti.cast(images[i][c], scalar) << (32 // together * (c - m * together))
+                planes_out[(n * planes + m) * size + i - n * size] = value
 
     return planes_kernel
 
@@ -215,15 +226,24 @@ def _cost_kernel(channels: int, masked: bool, seen: bool, sloped: bool, block: i
 
 @once
 def _gpu_kernel(channels: int, stored: Any, masked: bool, seen: bool, sloped: bool, view_sets: int) -> Any:
+    together, planes, scalar = _planes_of(channels, stored)
+    bits, pixel = 32 // together, ti.types.vector(channels, ti.f32)
+
     @ti.func
-    def along(views: ti.template(), row: int, x: int, shift: ti.template(), width: int):
-        """Interpolate a row of a view between two columns, at column x."""
-        value = ti.cast(views[row + within(x + shift.x, width)], ti.f32)
-        return value + shift.ax * (ti.cast(views[row + within(x + shift.x + 1, width)], ti.f32) - value)
+    def color_at(views: ti.template(), place: int, size: int):
+        color = pixel(0.0)
+        for m in ti.static(range(planes)):
+            value = views[place + m * size]
+            for c in ti.static(range(m * together, min((m + 1) * together, channels))):
+                if ti.static(together == 1):
+                    color[c] = ti.cast(value, ti.f32)
+                else:
+                    color[c] = ti.cast((value >> (bits * (c - m * together))) & ((1 << bits) - 1), ti.f32)
+        return color
 
     @ti.kernel
     def sweep_kernel(
-        views: flat(stored),
+        views: flat(scalar),
         image: flat(),
         valid: flat(),
         nearest: flat(),
@@ -253,6 +273,15 @@ def _gpu_kernel(channels: int, stored: Any, masked: bool, seen: bool, sloped: bo
             after = ti.min(x + 1, width - 1)
             over = ti.max(y - 1, 0)
             under = ti.min(y + 1, height - 1)
+            own = pixel(0.0)
+            own_across = pixel(0.0)
+            own_down = pixel(0.0)
+            for c in ti.static(range(channels)):
+                own[c] = image[c * size + p]
+                if ti.static(sloped):
+                    row = c * size + y * width
+                    own_across[c] = image[row + after] - image[row + before]
+                    own_down[c] = image[c * size + under * width + x] - image[c * size + over * width + x]
             cost_of_group = 0.0
             parts_of_group = 0.0
             costs = ti.Vector([0.0 for _ in range(view_sets)])
@@ -273,32 +302,44 @@ def _gpu_kernel(channels: int, stored: Any, masked: bool, seen: bool, sloped: bo
                     if ti.static(seen):
                         part = ti.select(nearest[near] <= deepest[label], part, 0.0)
                 if part > 0.0:
-                    color = 0.0
+                    # Four columns and four rows of the view: at the border the pixel stands for its neighbour.
+                    left = within(before + shift.x, width)
+                    x0 = within(tx, width)
+                    x1 = within(tx + 1, width)
+                    right = within(after + shift.x + 1, width)
+                    first = shift.view * planes * size
+                    upper = first + within(ty, height) * width
+                    lower = first + within(ty + 1, height) * width
+                    u0 = color_at(views, upper + x0, size)
+                    u1 = color_at(views, upper + x1, size)
+                    d0 = color_at(views, lower + x0, size)
+                    d1 = color_at(views, lower + x1, size)
+                    u = u0 + shift.ax * (u1 - u0)
+                    d = d0 + shift.ax * (d1 - d0)
+                    color = abs(scale * (u + shift.ay * (d - u)) - own).sum()
                     slope = 0.0
-                    for c in ti.static(range(channels)):
-                        plane = (shift.view * channels + c) * height
-                        own = c * size
-                        upper = (plane + within(ty, height)) * width
-                        lower = (plane + within(ty + 1, height)) * width
-                        u = along(views, upper, x, shift, width)
-                        d = along(views, lower, x, shift, width)
-                        color += abs(scale * (u + shift.ay * (d - u)) - image[own + p])
-                        if ti.static(sloped):
-                            u0 = along(views, upper, before, shift, width)
-                            d0 = along(views, lower, before, shift, width)
-                            u1 = along(views, upper, after, shift, width)
-                            d1 = along(views, lower, after, shift, width)
-                            change = u1 + shift.ay * (d1 - u1) - (u0 + shift.ay * (d0 - u0))
-                            row = own + y * width
-                            slope += abs(scale * change - (image[row + after] - image[row + before]))
-                            u0 = along(views, (plane + within(over + shift.y, height)) * width, x, shift, width)
-                            d0 = along(views, (plane + within(over + shift.y + 1, height)) * width, x, shift, width)
-                            u1 = along(views, (plane + within(under + shift.y, height)) * width, x, shift, width)
-                            d1 = along(views, (plane + within(under + shift.y + 1, height)) * width, x, shift, width)
-                            change = u1 + shift.ay * (d1 - u1) - (u0 + shift.ay * (d0 - u0))
-                            slope += abs(
-                                scale * change - (image[own + under * width + x] - image[own + over * width + x])
-                            )
+                    if ti.static(sloped):
+                        ul = color_at(views, upper + left, size)
+                        dl = color_at(views, lower + left, size)
+                        ur = color_at(views, upper + right, size)
+                        dr = color_at(views, lower + right, size)
+                        ul += shift.ax * (ti.select(x > 0, u0, u1) - ul)
+                        dl += shift.ax * (ti.select(x > 0, d0, d1) - dl)
+                        u1 = ti.select(x + 1 < width, u1, u0)
+                        d1 = ti.select(x + 1 < width, d1, d0)
+                        ur = u1 + shift.ax * (ur - u1)
+                        dr = d1 + shift.ax * (dr - d1)
+                        change = ur + shift.ay * (dr - ur) - (ul + shift.ay * (dl - ul))
+                        slope += abs(scale * change - own_across).sum()
+                        top = first + within(over + shift.y, height) * width
+                        bottom = first + within(under + shift.y + 1, height) * width
+                        t = color_at(views, top + x0, size)
+                        t += shift.ax * (color_at(views, top + x1, size) - t)
+                        b = color_at(views, bottom + x0, size)
+                        b += shift.ax * (color_at(views, bottom + x1, size) - b)
+                        under_it = ti.select(y + 1 < height, d, u)
+                        change = under_it + shift.ay * (b - under_it) - (t + shift.ay * (ti.select(y > 0, u, d) - t))
+                        slope += abs(scale * change - own_down).sum()
                     cost = rooted(ti.min(color / channels, truncation), softness)
                     if ti.static(sloped):
                         cost += gradient_weight * ti.min(slope / (4 * channels), gradient_truncation)
@@ -381,12 +422,13 @@ class _PlaneSweep:
             self._sums = empty((self._view_sets, 2, height, width))
         else:
             self._limits = table(np.array(self._deepest))
-        self._recorded: Any = None
+        self._stored: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
         n, height, width, channels = self._shape
-        if self._recorded is None or self._recorded.scalar != recorded.scalar:
-            self._recorded = empty((n, channels, height, width), scalar=recorded.scalar)
+        if self._stored != recorded.scalar:
+            self._stored, (_, planes, scalar) = recorded.scalar, _planes_of(channels, recorded.scalar)
+            self._recorded = empty((n, planes, height, width), scalar=scalar)
         run(_planes_kernel(channels, image.scalar), image, height * width, self._image)
         run(_planes_kernel(channels, recorded.scalar), recorded, height * width, self._recorded)
         self._valid = valid
@@ -410,7 +452,7 @@ class _PlaneSweep:
         _, height, width, channels = self._shape
         (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
         if not on_cpu():
-            sweep = _gpu_kernel(channels, self._recorded.scalar, masked, seen, gradients, sets)
+            sweep = _gpu_kernel(channels, self._stored, masked, seen, gradients, sets)
             arrays = self._recorded, self._image, mask, surface, self._shifts, self._members, self._limits
             numbers = self._views, height, width, self._scale, *limits, self._preference, least
             run(sweep, *arrays, *numbers, volume_out)

@@ -36,13 +36,11 @@ def pixel_of(path: int, i: int, dy: int, dx: int, height: int, width: int):
 
 
 @ti.func
-def penalties(
-    image: ti.template(), scale: ti.template(), p: int, before: int, small: float, large: float, contrast: float
-):
+def penalties(color: ti.template(), before: ti.template(), scale: float, small: float, large: float, contrast: float):
     """(one, more): the costs of a step to the next disparity and to any other one, from the pixel before."""
-    difference = ti.abs(image[p] - image[before])
+    difference = ti.abs(color - before)
     likeness = ti.exp(-difference.sum() / (difference.n * contrast))
-    return scale[p] * small * ti.max(likeness, 0.2), scale[p] * ti.max(large * likeness, 1.2 * small)
+    return scale * small * ti.max(likeness, 0.2), scale * ti.max(large * likeness, 1.2 * small)
 
 
 @once
@@ -83,7 +81,8 @@ def _cpu_kernel(channels: int) -> Any:
                         most = 0.0
                         if not begins:
                             least = leasts[path]
-                            one, more = penalties(image, scale, p, p - dy * width - dx, small, large, contrast)
+                            before_it = image[p - dy * width - dx]
+                            one, more = penalties(image[p], before_it, scale[p], small, large, contrast)
                             most = least + more
                         least_here = ti.math.inf
                         low = ti.math.inf
@@ -181,6 +180,9 @@ def _gpu_kernel(channels: int, some: int) -> Any:
             cost = ti.Vector([0.0 for _ in range(some)])
             total = ti.Vector([0.0 for _ in range(some)])
             p, begins = pixel_of(path, 0, dy, dx, height, width)
+            color = image[p]
+            last_color = color
+            factor = scale[p]
             for k in ti.static(range(some)):
                 place = ti.min(first + k, count - 1) * size + p
                 cost[k] = volume[place]
@@ -189,6 +191,8 @@ def _gpu_kernel(channels: int, some: int) -> Any:
             for i in range(steps):
                 # What the next step needs is on its way while this one is worked out.
                 next_p, next_begins = pixel_of(path, ti.min(i + 1, steps - 1), dy, dx, height, width)
+                next_color = image[next_p]
+                next_factor = scale[next_p]
                 next_cost = ti.Vector([0.0 for _ in range(some)])
                 next_total = ti.Vector([0.0 for _ in range(some)])
                 for k in ti.static(range(some)):
@@ -201,7 +205,7 @@ def _gpu_kernel(channels: int, some: int) -> Any:
                     least = ti.math.inf
                     for k in ti.static(range(_LANES)):
                         least = ti.min(least, leasts[((1 - side) * _LANES + k) * _PATHS + own])
-                    one, more = penalties(image, scale, p, p - dy * width - dx, small, large, contrast)
+                    one, more = penalties(color, last_color, factor, small, large, contrast)
                     before = ti.Vector([0.0 for _ in range(some + 2)])
                     for k in ti.static(range(some + 2)):
                         before[k] = costs[((1 - side) * room + first + k) * _PATHS + own]
@@ -221,6 +225,9 @@ def _gpu_kernel(channels: int, some: int) -> Any:
                             others[beyond + place] = cost[k]
                 leasts[(side * _LANES + lane) * _PATHS + own] = least_here
                 ti.simt.block.sync()
+                last_color = color
+                color = next_color
+                factor = next_factor
                 cost = next_cost
                 total = next_total
                 p = next_p

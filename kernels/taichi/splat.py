@@ -222,7 +222,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
             total = sums.total(squares, 0, PARTS, turn)
             if turn == 0:
                 value_out[0] = total
-        for p in range(height * width):
+        for p in range(gradient_out.shape[0]):
             total = 0.0
             for n in range(offsets.shape[0] // 2):
                 total += slope_of(
