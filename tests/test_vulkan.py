@@ -126,6 +126,50 @@ def test_directions_come_in_batches(gpu: dict[str, str], volumes: int, monkeypat
     np.testing.assert_array_equal(sums(), at_once)
 
 
+def test_iterations_after_the_last_one_change_nothing(gpu: dict[str, str]) -> None:
+    """The host looks at `go_on` after some iterations only."""
+    from lfgpu._backends import open_device
+
+    device = open_device(**gpu)  # type: ignore[arg-type]
+    ends = {"low": -9.0, "high": 9.0, "first_step": 1.0, "tolerance": 0.0, "patience": 5}
+    memory = device.kernels.lbfgs((2, 2), device.name, memory=3, most=1, **ends)
+    x, gradient, trial, value = (*(device.field(np.full((2, 2), n)) for n in (0.0, 1.0, 0.0)), device.scalar(0.0))
+    memory.begin(x, gradient, value)
+    seen = []
+    for lower in (-3.0, -5.0):
+        memory.propose(x, trial)
+        memory.judge(value, device.scalar(lower))
+        memory.learn(x, gradient, trial, device.field(np.full((2, 2), 0.5)))
+        seen.append((memory.report(), device.kernels.number(value), device.kernels.numpy(x).tolist()))
+    assert seen[0] == (([0.0, -3.0], 2, False), -3.0, [[-1.0, -1.0]] * 2)
+    assert seen[1] == seen[0]
+
+
+@pytest.mark.parametrize("chosen", [None, [0, 1, 2, 4, 5, 6], [6, 1]])
+def test_views_are_uploaded_in_pieces(
+    gpu: dict[str, str], chosen: list[int] | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lfgpu.kernels.taichi import memory
+
+    from lfgpu._backends import open_device
+
+    device, values = open_device(**gpu), np.random.default_rng(0).integers(0, 255, (7, 5, 6, 3), np.uint8)  # type: ignore[arg-type]
+    wanted, sizes = values if chosen is None else values[chosen], []
+    array, run = device.image(np.zeros_like(wanted)), memory.run
+
+    def launch(kernel: Any, pixels: Any, *given: Any) -> None:
+        sizes.append(len(pixels) // values[0, ..., 0].size)
+        run(kernel, pixels, *given)
+
+    monkeypatch.setattr(memory, "_PIECE", 2 * values[0].nbytes)
+    monkeypatch.setattr(memory, "run", launch)
+    device.kernels.upload(values, array, chosen=chosen)
+    monkeypatch.undo()
+    assert sum(sizes) == len(wanted)
+    assert max(sizes) <= 2
+    np.testing.assert_array_equal(device.kernels.numpy(array), wanted)
+
+
 def test_a_batch_runs_there(gpu: dict[str, str], tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     lf = scenes.make("boxes", grid=(3, 3), size=(40, 48), disparity_range=(-0.7, 0.7), seed=1)

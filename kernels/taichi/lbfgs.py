@@ -75,35 +75,36 @@ def _search_kernels() -> SimpleNamespace:
         trace_out: numbers,
         go_on_out: numbers,
     ):
-        step = state[_STEP]
-        promised = step * state[_SLOPE]
-        trial = trial_value[0]
-        finite = ti.abs(trial) < ti.math.inf
-        state[_JUDGED] = state[_JUDGED] + 1.0
         state[_ACCEPTED] = 0.0
-        if finite and trial <= value[0] + ti.cast(_DECREASE, real) * promised:
-            last = ti.min(ti.cast(state[_LENGTH], ti.i32), trace_out.shape[0] - 1)
-            value[0] = trial
-            trace_out[last] = trial
-            state[_LENGTH] = ti.cast(last + 1, real)
-            state[_ACCEPTED] = 1.0
-            state[_REJECTED] = 0.0
-            if last >= patience:
-                most = ti.cast(patience, real) * tolerance * ti.abs(trace_out[0])
-                if trace_out[last - patience] - trial <= most:
-                    state[_FLAT] = 1.0
+        if go_on_out[0] != 0.0:  # a host that looks seldom goes on for a while
+            step = state[_STEP]
+            promised = step * state[_SLOPE]
+            trial = trial_value[0]
+            finite = ti.abs(trial) < ti.math.inf
+            state[_JUDGED] = state[_JUDGED] + 1.0
+            if finite and trial <= value[0] + ti.cast(_DECREASE, real) * promised:
+                last = ti.min(ti.cast(state[_LENGTH], ti.i32), trace_out.shape[0] - 1)
+                value[0] = trial
+                trace_out[last] = trial
+                state[_LENGTH] = ti.cast(last + 1, real)
+                state[_ACCEPTED] = 1.0
+                state[_REJECTED] = 0.0
+                if last >= patience:
+                    most = ti.cast(patience, real) * tolerance * ti.abs(trace_out[0])
+                    if trace_out[last - patience] - trial <= most:
+                        state[_FLAT] = 1.0
+                        go_on_out[0] = 0.0
+                if last + 1 == trace_out.shape[0]:
                     go_on_out[0] = 0.0
-            if last + 1 == trace_out.shape[0]:
-                go_on_out[0] = 0.0
-        else:
-            shorter = ti.cast(_SHORTEST, real) * step
-            if finite:
-                lowest = -promised * step / (2.0 * (trial - value[0] - promised))
-                shorter = ti.min(ti.max(lowest, shorter), ti.cast(_LONGEST, real) * step)
-            state[_STEP] = shorter
-            state[_REJECTED] = state[_REJECTED] + 1.0
-            if state[_REJECTED] == _REJECTIONS:
-                go_on_out[0] = 0.0
+            else:
+                shorter = ti.cast(_SHORTEST, real) * step
+                if finite:
+                    lowest = -promised * step / (2.0 * (trial - value[0] - promised))
+                    shorter = ti.min(ti.max(lowest, shorter), ti.cast(_LONGEST, real) * step)
+                state[_STEP] = shorter
+                state[_REJECTED] = state[_REJECTED] + 1.0
+                if state[_REJECTED] == _REJECTIONS:
+                    go_on_out[0] = 0.0
 
     return SimpleNamespace(begin=begin_kernel, propose=propose_kernel, judge=judge_kernel)
 

@@ -14,10 +14,11 @@ from taichi.lang.util import to_numpy_type
 from lfgpu.errors import BackendError
 
 from .runtime import DeviceArray as DeviceArray
-from .runtime import alone, double, most_bytes, once, run, start
+from .runtime import alone, double, most_bytes, once, run, stages_arrays, start
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels
+_PIECE = 4 * 2**20  # bytes of views at a time where the host writes to memory of a driver, which keeps little of it
 _MOST = 2**31 - 1  # Taichi's indices have 32 bits
 
 
@@ -124,7 +125,9 @@ def upload(values: NDArray[Any], array_out: DeviceArray, *, chosen: Sequence[int
         _filled(array_out, taken.astype(to_numpy_type(array_out.scalar), copy=False))
         return
     indices, first = np.arange(len(given)) if chosen is None else np.array(chosen), 0
-    for some in np.split(indices, np.flatnonzero(np.diff(indices) != 1) + 1):  # those that lie together
+    most = max(1, _PIECE // given[:1].nbytes) if stages_arrays() else len(indices)
+    ends = (np.diff(indices) != 1) | (np.arange(1, len(indices)) % most == 0)
+    for some in np.split(indices, np.flatnonzero(ends) + 1):  # those that lie together
         part = np.ascontiguousarray(given[some[0] : some[-1] + 1], to_numpy_type(array_out.scalar))
         pixels = part.reshape(-1, array_out.channels)
         run(_copy_kernel(array_out.scalar, array_out.channels), pixels, first, array_out)

@@ -83,6 +83,8 @@ class Lbfgs(Protocol):
         Accepted, `value` becomes `trial_value`, which is added to the trace, and `go_on` becomes 0 if the trace is flat
         (see `solvers/lbfgs.py`) or as long as it may be. Not accepted, the step shrinks to the minimum of the parabola
         through both values and the slope, but between 0.1 and 0.5 of what it was; `go_on` becomes 0 after 20 in a row.
+
+        Where hosts look at `go_on` seldom (`repeat`), it accepts and counts nothing once that is 0.
         """
 
     def learn(self, x: Array, gradient: Array, trial: Array, trial_gradient: Array) -> None:

@@ -7,6 +7,7 @@ from lfgpu.solvers.solution import Solution
 
 _MEMORY = 7  # pairs; ten, as in SciPy's L-BFGS-B, save no iteration if the curvature is known
 _FIRST_STEP = 0.04  # root mean square of the first step, pixels per view step at mean curvature
+_AT_ONCE = 4  # iterations: those after the last one change nothing, but each takes its time
 PATIENCE = 5  # iterations over which a decrease is judged; a single short step says little
 
 Energy = Callable[[Array, Array, Scalar], None]
@@ -83,7 +84,7 @@ class BoundedLbfgs:
             if callback is not None:
                 tell(callback)
 
-        self._kernels.repeat(iterate, memory.go_on, 2 * self._most + 20)
+        self._kernels.repeat(iterate, memory.go_on, 2 * self._most + 20, at_once=_AT_ONCE)
 
     def report(self) -> Solution:
         """Report the outcome of the last minimisation; waits for the device."""
