@@ -63,12 +63,6 @@ def _rows(path: Path) -> Sequence[dict[str, Any]]:
 # --- accuracy ---
 
 
-def _accuracy(path: Path) -> str:
-    """Write MSE x 100 and the three BadPix of each scene and preset; the best of a row is bold."""
-    run = results.load(path)
-    return f"{_errors_by_preset(_range_found(run))}\n\n{_where(run)}\n"
-
-
 def _errors_by_preset(found: Sequence[Record]) -> str:
     presets = list(dict.fromkeys(r.details["preset"] for r in found))
     rows = []
@@ -207,7 +201,6 @@ TIMES = "h200-pipelines.json"
 RUNS = (TIMES, "ablation.json")
 TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
-    "accuracy": ((ACCURACY,), _accuracy),
     "backends": (("h100-vulkan.json",), _backends),
     "compared": ((ACCURACY, "learned.json", PUBLISHED), _compared),
     "confidence": (("confidence.json",), lambda path: confidence.by_confidence(_rows(path)).markdown),

@@ -117,7 +117,7 @@ def test_metadata_are_those_of_the_project() -> None:
     urls = SETTINGS["project"]["urls"]
     assert set(urls) == {"Repository", "Documentation", "Changelog", "Issues"}
     for url in urls.values():
-        assert url.startswith("https://github.com/lfgpu/lfgpu")
+        assert url.startswith(("https://github.com/lfgpu/lfgpu", "https://lfgpu.github.io/lfgpu"))
         _, blob, path = url.partition("/blob/main/")
         assert not blob or (ROOT / path).is_file()
     assert SETTINGS["project"]["scripts"].keys() == {"lfgpu"}
