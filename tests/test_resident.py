@@ -13,11 +13,12 @@ import pytest
 import lfgpu
 from benchmarks import call
 from lfgpu import scenes
-from lfgpu._backends import load
+from lfgpu._backends import load, open_device
 from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
+from lfgpu.methods import method_of
 from lfgpu.methods.matching import frame
 from lfgpu.methods.recycling import RecyclingDevice
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -100,9 +101,22 @@ def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: p
     assert made == ["plan", "graph"]
 
 
-def test_a_plan_begins_with_clear_buffers() -> None:
-    from lfgpu._backends import open_device
+@pytest.mark.parametrize("config", ["fast", "accurate"])
+def test_what_is_measured_again_needs_no_memory(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As on a GPU; and what stays of a light field leaves no trace in what is measured in the next one."""
+    fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005), (0, 0.02))]
+    want = [method_of(config).measure(lf, open_device(device="cpu")) for lf in fields]
+    monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))
+    pipeline = DepthPipeline(fields[0], config=config, device="cpu")
+    for lf, measured in zip(fields, want, strict=True):
+        pipeline.take(lf)
+        assert pipeline.measured == measured
+    for name in ("zeros", "zeros_image", "field", "image", "scalar"):
+        monkeypatch.setattr(load(), name, None)
+    pipeline.take(replace(fields[3]))
 
+
+def test_a_plan_begins_with_clear_buffers() -> None:
     place = open_device("reference")
     device = RecyclingDevice(place.kernels, place.name)
     one, image = device.zeros((2, 3)), device.zeros_image((2, 3, 1))

@@ -73,27 +73,25 @@ def side_costs(
     device: str,
     *,
     reference: int,
-    first: float,
-    step: float,
     count: int,
 ) -> SideCosts:
-    shifts = sweep_shifts(offsets, Disparities(first, step, count))
-
-    def cost(details: Array, label: int, side: Sequence[int]) -> Array:
-        found = np.stack([differences(details[n], details[reference], shifts[label, n]) for n in side])
+    def cost(details: Array, shifts: Array, side: Sequence[int]) -> Array:
+        found = np.stack([differences(details[n], details[reference], shifts[n]) for n in side])
         parts = box_sums((~np.isnan(found)).sum(0).astype(np.float64))
         total = box_sums(np.nansum(found, 0))
         return np.where(parts >= LEAST_SHARE * 9 * len(side), total / np.maximum(parts, 1), UNSEEN)
 
-    def evaluate(details: Array, volume_out: Array) -> None:
+    def evaluate(details: Array, first: float, step: float, volume_out: Array) -> None:
+        shifts = sweep_shifts(offsets, Disparities(first, step, count))
         for line, costs_out in zip(lines, volume_out, strict=True):
             for label in range(count):
-                costs_out[label] = np.min([cost(details, label, side) for side in line], axis=0)
+                costs_out[label] = np.min([cost(details, shifts[label], side) for side in line], axis=0)
 
     return evaluate
 
 
-def distinct_minimum(volume: Array, *, apart: int, found_out: Array) -> None:
+def distinct_minimum(volume: Array, *, apart: int, found_out: Sequence[Array]) -> None:
+    place_out, least_out, spread_out, others_out, worst_out = found_out
     costs = np.minimum(volume, 1).mean(0)
     labels = np.arange(len(costs))[:, None, None]
     k = costs.argmin(0)
@@ -105,9 +103,32 @@ def distinct_minimum(volume: Array, *, apart: int, found_out: Array) -> None:
     least, before, after = at(costs, k), at(costs, inner - 1), at(costs, inner + 1)
     bend = before - 2 * least + after
     bends = (bend > LEAST_BEND) & (k == inner)
-    found_out[0] = k + np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
-    found_out[1] = least
-    found_out[2] = costs.max(0) - least
+    place_out[:] = k + np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
+    least_out[:] = least
+    spread_out[:] = np.where(least < 1, costs.max(0) - least, np.nan)
     others = np.where(np.abs(labels - k) > apart, costs, np.inf).min(0)
-    found_out[3] = np.where(np.isfinite(others), others - least, UNSEEN)
-    found_out[4] = np.where(k == inner, np.max([at(line, k) for line in volume], axis=0), UNSEEN)
+    others_out[:] = np.where(np.isfinite(others), others - least, UNSEEN)
+    worst_out[:] = np.where(k == inner, np.max([at(line, k) for line in volume], axis=0), UNSEEN)
+
+
+def agreeing_disparity(
+    found: Sequence[Array],
+    noise: Array,
+    *,
+    least_noise: float,
+    same: float,
+    other: float,
+    neighbors: int,
+    first: float,
+    step: float,
+    disparity_out: Array,
+) -> None:
+    place, _, _, others, worst = found
+    s = np.fmax(noise[0], least_noise)
+    sure = (worst <= min(same * s, 1)) & (others >= other * s)
+    disparity = np.where(sure, first + step * place, np.nan)
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(disparity, 1, constant_values=np.nan), (3, 3))
+    alike = np.abs(around - disparity[..., None, None]) <= 1.5 * step
+    count = alike.sum((2, 3))
+    mean = np.where(alike, around, 0).sum((2, 3)) / np.maximum(count, 1)
+    disparity_out[:] = np.where(count > neighbors, mean, np.nan)

@@ -25,9 +25,12 @@ def intensities(views: Array, index: int, valid: Array | None, *, scale: float, 
         image_out[valid[index] == 0] = fill
 
 
-def line_of_views(views: Array, line: Sequence[int], *, vertical: bool, epis_out: Array) -> None:
+def line_of_views(
+    views: Array, line: Sequence[int], *, vertical: bool, epis_out: Array, corner: tuple[int, int] = (0, 0)
+) -> None:
     for epi, index in zip(epis_out, line, strict=True):
-        epi[:] = views[index].swapaxes(0, 1) if vertical else views[index]
+        view = views[index, corner[0] :, corner[1] :]
+        epi[:] = (view.swapaxes(0, 1) if vertical else view)[: epi.shape[0], : epi.shape[1]]
 
 
 def blur(values: Array, sigma: float) -> Array:

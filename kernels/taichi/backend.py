@@ -12,13 +12,14 @@ from .convolution import convolution
 from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .edges import edge_weights
 from .lbfgs import lbfgs
+from .measuring import quantile, window_grain
 from .memory import clear, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
 from .occlusion import splat_z_buffered, visible
 from .peak import judge_peak, peak
 from .plane_sweep import plane_sweep
-from .range_search import details, distinct_minimum, shrink, side_costs
+from .range_search import agreeing_disparity, details, distinct_minimum, shrink, side_costs
 from .resampling import resample
 from .residuals import residuals
 from .runtime import devices

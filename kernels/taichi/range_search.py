@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
-from .memory import DeviceArray, empty, flat, optional, table, upload
+from .memory import DeviceArray, empty, flat, optional, upload
 from .plane_sweep import shift_of, within
-from .runtime import once, run, start
+from .runtime import double, once, run, start
 
 
 @once
@@ -198,25 +198,24 @@ def side_costs(
     device: str,
     *,
     reference: int,
-    first: float,
-    step: float,
     count: int,
 ) -> SideCosts:
     start(device)
     _, height, width = shape
     views = np.concatenate([np.asarray(side, np.int64) for line in lines for side in line])
-    chosen = sweep_shifts(offsets, Disparities(first, step, count))[:, views]
-    whole = np.floor(chosen)
-    shifts = table(np.concatenate([np.broadcast_to(views, chosen.shape[:2])[..., None], whole, chosen - whole], 2))
+    places = np.broadcast_to(views, (count, len(views)))[..., None]
+    shifts = empty((count, len(views), 5))
     sums, parts = (empty((count, height, width)) for _ in range(2))
 
-    def evaluate(details: DeviceArray, volume_out: DeviceArray) -> None:
-        begin = 0
+    def evaluate(details: DeviceArray, first: float, step: float, volume_out: DeviceArray) -> None:
+        chosen = sweep_shifts(offsets, Disparities(first, step, count))[:, views]
+        whole, begin = np.floor(chosen), 0
+        upload(np.concatenate([places, whole, chosen - whole], 2), shifts)
         for m, line in enumerate(lines):
             for k, side in enumerate(line):
                 end = begin + len(side)
-                places = reference, shifts, begin, end, len(views), height, width
-                run(_differences_kernel, details, *places, sums, parts)
+                compared = reference, shifts, begin, end, len(views), height, width
+                run(_differences_kernel, details, *compared, sums, parts)
                 place = m * count * height * width
                 share = height, width, 4.5 * len(side), place, int(k == 0)
                 run(_costs_kernel, sums, parts, *share, volume_out)
@@ -234,7 +233,18 @@ def _mean(volume: ti.template(), lines: int, at: int, stride: int):
 
 
 @ti.kernel
-def _distinct_kernel(volume: flat(), lines: int, count: int, apart: int, size: int, found_out: flat()):
+def _distinct_kernel(
+    volume: flat(),
+    lines: int,
+    count: int,
+    apart: int,
+    size: int,
+    place_out: flat(),
+    least_out: flat(),
+    spread_out: flat(),
+    others_out: flat(),
+    worst_out: flat(),
+):
     for p in range(size):
         stride = count * size
         k = 0
@@ -260,13 +270,73 @@ def _distinct_kernel(volume: flat(), lines: int, count: int, apart: int, size: i
             worst = 0.0
             for i in range(lines):
                 worst = ti.max(worst, volume[k * size + p + i * stride])
-        found_out[p] = ti.cast(k, ti.f32) + t
-        found_out[size + p] = least
-        found_out[2 * size + p] = most - least
-        found_out[3 * size + p] = ti.select(others < UNSEEN, others - least, UNSEEN)
-        found_out[4 * size + p] = worst
+        place_out[p] = ti.cast(k, ti.f32) + t
+        least_out[p] = least
+        spread_out[p] = ti.select(least < 1.0, most - least, ti.math.nan)
+        others_out[p] = ti.select(others < UNSEEN, others - least, UNSEEN)
+        worst_out[p] = worst
 
 
-def distinct_minimum(volume: DeviceArray, *, apart: int, found_out: DeviceArray) -> None:
+def distinct_minimum(volume: DeviceArray, *, apart: int, found_out: Sequence[DeviceArray]) -> None:
     lines, count, height, width = volume.shape
-    run(_distinct_kernel, volume, lines, count, apart, height * width, found_out)
+    run(_distinct_kernel, volume, lines, count, apart, height * width, *found_out)
+
+
+@once
+def _agreeing_kernel() -> Any:
+    real = double()
+
+    @ti.kernel
+    def agreeing_kernel(
+        place: flat(),
+        others: flat(),
+        worst: flat(),
+        noise: flat(real),
+        least_noise: real,
+        same: real,
+        other: real,
+        neighbors: int,
+        first: float,
+        step: float,
+        width: int,
+        disparity_out: flat(),
+    ):
+        for p in range(disparity_out.shape[0]):
+            s = noise[0]
+            if not s > least_noise:
+                s = least_noise
+            most = ti.cast(ti.min(s * same, 1.0), ti.f32)
+            least = ti.cast(s * other, ti.f32)
+            total = 0.0
+            count = 0
+            if worst[p] <= most and others[p] >= least:
+                here = first + step * place[p]
+                for i in range(9):
+                    y = p // width + i // 3 - 1
+                    x = p % width + i % 3 - 1
+                    q = y * width + x
+                    if x >= 0 and x < width and q >= 0 and q < disparity_out.shape[0]:
+                        there = first + step * place[q]
+                        if worst[q] <= most and others[q] >= least and ti.abs(there - here) <= 1.5 * step:
+                            total += there
+                            count += 1
+            disparity_out[p] = ti.select(count > neighbors, total / ti.max(count, 1), ti.math.nan)
+
+    return agreeing_kernel
+
+
+def agreeing_disparity(
+    found: Sequence[DeviceArray],
+    noise: DeviceArray,
+    *,
+    least_noise: float,
+    same: float,
+    other: float,
+    neighbors: int,
+    first: float,
+    step: float,
+    disparity_out: DeviceArray,
+) -> None:
+    place, _, _, others, worst = found
+    numbers = least_noise, same, other, neighbors, first, step, disparity_out.shape[1]
+    run(_agreeing_kernel(), place, others, worst, noise, *numbers, disparity_out)

@@ -41,14 +41,25 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
             image_out[p] = value
 
     @ti.kernel
-    def line_kernel(views: views_type, line: flat(), height: int, width: int, vertical: int, epis_out: views_type):
-        """Copy views to their places in the line; `height` and `width` are those of the EPIs."""
-        size = height * width
+    def line_kernel(
+        views: views_type,
+        line: flat(),
+        rows: int,
+        columns: int,
+        height: int,
+        width: int,
+        vertical: int,
+        top: int,
+        left: int,
+        epis_out: views_type,
+    ):
+        """Copy views of `rows` and `columns` to their places in the line; EPIs have `height` and `width`."""
         for i in range(epis_out.shape[0]):
-            p = i % size
+            y = i // width % height
+            x = i % width
             if vertical == 1:
-                p = p % width * height + p // width
-            epis_out[i] = views[ti.cast(line[i // size], ti.i32) * size + p]
+                y, x = x, y
+            epis_out[i] = views[(ti.cast(line[i // (height * width)], ti.i32) * rows + y + top) * columns + x + left]
 
     return SimpleNamespace(intensities=intensities_kernel, line=line_kernel)
 
@@ -60,9 +71,16 @@ def intensities(
     run(kernel, views, int(index) * image_out.size, *optional(valid), scale, fill, image_out)
 
 
-def line_of_views(views: DeviceArray, line: Sequence[int], *, vertical: bool, epis_out: DeviceArray) -> None:
-    kernel, (_, height, width) = _copy_kernels(views.channels, views.scalar).line, epis_out.shape
-    run(kernel, views, _line(tuple(line)), height, width, int(vertical), epis_out)
+def line_of_views(
+    views: DeviceArray,
+    line: Sequence[int],
+    *,
+    vertical: bool,
+    epis_out: DeviceArray,
+    corner: tuple[int, int] = (0, 0),
+) -> None:
+    kernel = _copy_kernels(views.channels, views.scalar).line
+    run(kernel, views, _line(tuple(line)), *views.shape[1:], *epis_out.shape[1:], int(vertical), *corner, epis_out)
 
 
 @once

@@ -15,7 +15,7 @@ from lfgpu.contract import UNSEEN, Details, Disparities, sweep_shifts
 
 from .memory import pixel_type, start
 from .native_code import kernel
-from .threads import check_size, in_slices, launch, load, once, slices
+from .threads import check_size, in_slices, launch, launch_rows, load, once, slices
 from .views import indices
 
 _BLOCK = 128  # columns that a CPU works on at a time
@@ -26,17 +26,17 @@ def _block(device: Any) -> int:
     return _BLOCK if device.is_cpu else 1
 
 
-def _launch_lines(work: Any, inputs: list[Any], out: Any, rows: int, width: int) -> None:
-    """Launch work(*inputs, row, lanes, out) over some rows of `width` pixels: thread i has the row row + i / lanes,
-    and there blocks of columns, every lanes-th from i % lanes on.
+def _launch_lines(work: Any, inputs: list[Any], rows: int, width: int, *outputs: Any) -> None:
+    """Launch work(*inputs, row, lanes, *outputs) over some rows of `width` pixels: thread i has the row
+    row + i / lanes, and there blocks of columns, every lanes-th from i % lanes on.
     """
-    device = out.device
+    device = outputs[0].device
     lanes = 1 if device.is_cpu else width
     check_size(rows * lanes)
     load(device, work)
 
     def some_rows(_: int, first: int, last: int) -> None:
-        launch(work, (last - first) * lanes, [*inputs, first, lanes], [out], device=device)
+        launch(work, (last - first) * lanes, [*inputs, first, lanes], list(outputs), device=device)
 
     in_slices(device, rows, some_rows)
 
@@ -57,7 +57,7 @@ def shrink(views: Any, chosen: Sequence[int], valid: Any, *, scale: float, facto
     work = _shrink_kernel(views.dtype._length_, views.dtype._wp_scalar_type_, _block(views.device))
     line = indices(tuple(int(index) for index in chosen), views.device.alias)
     count, height, width = images_out.shape
-    _launch_lines(work, [views, line, valid, scale, factor], images_out, count * height, width)
+    _launch_lines(work, [views, line, valid, scale, factor], count * height, width, images_out)
 
 
 def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> Details:
@@ -70,16 +70,16 @@ def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> D
 
     def evaluate(images: Any, details_out: Any) -> None:
         if factor > 1:
-            _launch_lines(again, [images, factor], smaller, n * height, width)
+            _launch_lines(again, [images, factor], n * height, width, smaller)
             images = smaller
-        _launch_lines(add, [images, window], sums, n * height, width)
-        _launch_lines(subtract, [images, sums, window], details_out, n * height, width)
+        _launch_lines(add, [images, window], n * height, width, sums)
+        _launch_lines(subtract, [images, sums, window], n * height, width, details_out)
 
     return evaluate
 
 
 class _SideCosts:
-    """The shifts of the views, side by side, and memory for the sums of some disparities."""
+    """Memory for the shifts of the views, side by side, and for the sums of some disparities."""
 
     def __init__(
         self,
@@ -89,43 +89,40 @@ class _SideCosts:
         device: str,
         *,
         reference: int,
-        first: float,
-        step: float,
         count: int,
     ) -> None:
         start()
-        shifts = sweep_shifts(offsets, Disparities(first, step, count))
         sides = [side for line in lines for side in line]
         views = [int(view) for side in sides for view in side]
         self._reference, (_, self._height, self._width) = reference, shape
-        self._sides, self._count = len(sides), len(shifts)
+        self._sides, self._count, self._offsets = len(sides), count, offsets[views]
         self._views = indices(tuple(views), device)
         self._ends, self._lines = (
             indices(tuple(accumulate(map(len, some), initial=0)), device) for some in (sides, lines)
         )
-        chosen = shifts[:, views]
-        whole = np.floor(chosen)
-        shift = np.concatenate([whole, chosen - whole], axis=2).astype(np.float32)
-        self._shifts = wp.array(shift, dtype=wp.vec4f, device=device)
+        self._shifts = wp.empty((count, len(views)), dtype=wp.vec4f, device=device)
         place = self._shifts.device
         self._differences, self._costs = (_kernel(name, _block(place)) for name in ("add_differences", "find_costs"))
         self._at_once = 1 if place.is_cpu else min(_AT_ONCE, self._count)
         room = (len(slices(place, self._count)), self._at_once * self._sides, self._height * self._width)
         self._room = wp.empty(room, dtype=wp.vec2f, device=device)
 
-    def __call__(self, details: Any, volume_out: Any) -> None:
+    def __call__(self, details: Any, first: float, step: float, volume_out: Any) -> None:
         place = self._shifts.device
+        shifts = sweep_shifts(self._offsets, Disparities(first, step, self._count))
+        whole = np.floor(shifts)
+        self._shifts.assign(np.concatenate([whole, shifts - whole], axis=2).astype(np.float32))
         lanes = 1 if place.is_cpu else self._width
         check_size(self._at_once * self._sides * self._height * lanes)
         load(place, self._differences, self._costs)
 
         def some(k: int, begin: int, end: int) -> None:
-            for first in range(begin, end, self._at_once):
-                rows = min(self._at_once, end - first) * self._height
+            for label in range(begin, end, self._at_once):
+                rows = min(self._at_once, end - label) * self._height
                 room = self._room[k : k + 1]
-                compared = [details, self._reference, self._shifts, self._views, self._ends, first, 0, lanes]
+                compared = [details, self._reference, self._shifts, self._views, self._ends, label, 0, lanes]
                 launch(self._differences, rows * self._sides * lanes, compared, [room], device=place)
-                added = [room, self._ends, self._lines, first, 0, lanes]
+                added = [room, self._ends, self._lines, label, 0, lanes]
                 launch(self._costs, rows * lanes, added, [volume_out], device=place)
 
         in_slices(place, self._count, some)
@@ -134,6 +131,22 @@ class _SideCosts:
 side_costs = _SideCosts
 
 
-def distinct_minimum(volume: Any, *, apart: int, found_out: Any) -> None:
-    work = _kernel("find_distinct", _block(volume.device))
-    _launch_lines(work, [volume, apart], found_out, volume.shape[2], volume.shape[3])
+def distinct_minimum(volume: Any, *, apart: int, found_out: Sequence[Any]) -> None:
+    launch_rows(_kernel("find_distinct", _block(volume.device)), [volume, apart], *found_out)
+
+
+def agreeing_disparity(
+    found: Sequence[Any],
+    noise: Any,
+    *,
+    least_noise: float,
+    same: float,
+    other: float,
+    neighbors: int,
+    first: float,
+    step: float,
+    disparity_out: Any,
+) -> None:
+    place, _, _, others, worst = found
+    numbers = [noise, least_noise, same, other, neighbors, first, step]
+    launch_rows(_kernel("find_agreeing", 1), [place, others, worst, *numbers], disparity_out)

@@ -66,12 +66,14 @@ def intensities(views: Any, index: int, valid: Any, *, scale: float, fill: float
     launch_rows(kernels.intensities, [views, index, valid, scale, fill], image_out)
 
 
-def line_of_views(views: Any, line: Sequence[int], *, vertical: bool, epis_out: Any) -> None:
+def line_of_views(
+    views: Any, line: Sequence[int], *, vertical: bool, epis_out: Any, corner: tuple[int, int] = (0, 0)
+) -> None:
     if views.dtype is wp.float32:  # a field is an image of one channel
         views, epis_out = (array.view(pixel_type(1)) for array in (views, epis_out))
     kernels = _copy_kernels(views.dtype._length_, views.dtype._wp_scalar_type_)
     chosen = indices(tuple(int(index) for index in line), views.device.alias)
-    launch_rows(kernels.line, [views, chosen, int(vertical)], epis_out)
+    launch_rows(kernels.line, [views, chosen, int(vertical), *corner], epis_out)
 
 
 @once

@@ -7,6 +7,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu._backends import open_device
 from lfgpu.cameras.looking import checked_map
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField, check_light_field
@@ -77,7 +78,7 @@ def reasons(lf: LightField, result: DepthResult) -> NDArray[np.uint8]:
     known = np.isfinite(disparity)
     low, high = result.disparity_range
     image = lf.image(lf.reference_index).mean(-1)
-    noise = np.hypot(measured_grain(lf), _STEP)
+    noise = np.hypot(measured_grain(lf, open_device(device="cpu")), _STEP)
     slopes = [np.square(slope) for slope in np.gradient(image)]
     reach = np.square(lf.offsets[:, ::-1]).sum(0)  # along rows and columns of pixels, as `slopes`
     across = sum(window_mean(s, _WINDOW) * r for s, r in zip(slopes, reach / reach.sum(), strict=True))

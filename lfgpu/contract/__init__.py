@@ -42,6 +42,7 @@ from lfgpu.contract.matching import (
     ZBuffer,
     sweep_shifts,
 )
+from lfgpu.contract.measuring import GRAIN_WINDOW
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.range_search import UNSEEN, Details, SideCosts
 from lfgpu.contract.solvers import Lbfgs, Residuals
@@ -57,6 +58,7 @@ __all__ = [
     "DECISIONS",
     "FOLD",
     "GRADIENT_REACH",
+    "GRAIN_WINDOW",
     "LEAST_ODDS",
     "LEAST_WIDTH",
     "PEAK_REACH",

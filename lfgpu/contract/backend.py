@@ -9,6 +9,7 @@ from lfgpu.contract.control import Control, Recording
 from lfgpu.contract.images import Images
 from lfgpu.contract.learned import Learned
 from lfgpu.contract.matching import Matching
+from lfgpu.contract.measuring import Measuring
 from lfgpu.contract.memory import Memory
 from lfgpu.contract.prior import Prior
 from lfgpu.contract.range_search import RangeSearch
@@ -25,6 +26,7 @@ class KernelSet(
     Prior,
     StructureTensors,
     RangeSearch,
+    Measuring,
     Matching,
     Learned,
     Synthesis,

@@ -1,15 +1,17 @@
 """A device of a backend: where arrays live and operations run."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract.arrays import Array, Scalar
 from lfgpu.contract.backend import KernelSet
+
+Kept = TypeVar("Kept")
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,10 @@ class Device:
     def scalar(self, value: float) -> Scalar:
         """Return a number on the device."""
         return self.kernels.scalar(value, self.name)
+
+    def kept(self, name: Hashable, key: Hashable, make: Callable[[], Kept]) -> Kept:
+        """Make something that needs memory; a device that keeps such things returns the last one of the same key."""
+        return make()
 
     def asking(self) -> AbstractContextManager[object]:
         """Return the context in which the device is asked for work; see `Control.asking`."""

@@ -37,9 +37,18 @@ class Images(Protocol):
     ) -> None:
         """image [y, x, c] = scale * views[index], but `fill` where `valid` [n, y, x] is 0 in view `index`."""
 
-    def line_of_views(self, views: Array, line: Sequence[int], *, vertical: bool, epis_out: Array) -> None:
-        """epis [u, y, x, c] = views[line[u], y, x, c], or views[line[u], x, y, c] if `vertical`.
+    def line_of_views(
+        self,
+        views: Array,
+        line: Sequence[int],
+        *,
+        vertical: bool,
+        epis_out: Array,
+        corner: tuple[int, int] = (0, 0),
+    ) -> None:
+        """epis [u, y, x, c] = views[line[u], y + top, x + left, c]; if `vertical` views[line[u], x + top, y + left, c].
 
+        (top, left) is the `corner`; the views reach as far as the EPIs, or farther.
         A field [n, y, x] in place of the views gives fields.
         """
 

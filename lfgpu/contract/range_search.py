@@ -5,7 +5,7 @@ from typing import Any, Protocol
 
 from numpy.typing import NDArray
 
-from lfgpu.contract.arrays import Array
+from lfgpu.contract.arrays import Array, Scalar
 
 UNSEEN = 2.0
 """The cost of what cannot be compared, larger than any other: intensities differ by 1 at most."""
@@ -32,7 +32,7 @@ class SideCosts(Protocol):
     Where fewer than half of the terms have one, the cost is `UNSEEN`. The shifts -d_l o_n are `sweep_shifts`.
     """
 
-    def __call__(self, details: Array, volume_out: Array) -> None:
+    def __call__(self, details: Array, first: float, step: float, volume_out: Array) -> None:
         """volume [m, l, y, x], one for each line: the least of the costs of its sides. `details` is [n, y, x]."""
 
 
@@ -60,8 +60,6 @@ class RangeSearch(Protocol):
         device: str,
         *,
         reference: int,
-        first: float,
-        step: float,
         count: int,
     ) -> SideCosts:
         """Plan the costs of details of `shape` [n, y, x], with `offsets` [n, 2] on the host.
@@ -70,12 +68,33 @@ class RangeSearch(Protocol):
         side has a view.
         """
 
-    def distinct_minimum(self, volume: Array, *, apart: int, found_out: Array) -> None:
-        """Find the least cost over all lines, its place, and by how much it is less than elsewhere: found [5, y, x].
+    def distinct_minimum(self, volume: Array, *, apart: int, found_out: Sequence[Array]) -> None:
+        """Find the least cost over all lines, its place, and by how much it is less than elsewhere: five fields [y, x].
 
         With C_l the mean over one or two lines of min(volume [m, l, y, x], 1), and k the first l of the least C_l:
         0: k + t, t the minimum of the parabola through C_(k-1), C_k and C_(k+1), in -1 to 1, 0 where it does not bend
-        upwards by more than 1e-9; 1: C_k; 2: the largest C_l, less C_k; 3: the least C_l with |l - k| > `apart`, less
-        C_k, `UNSEEN` if there is none; 4: the largest of the lines' costs at k. At k = 0 and k = count - 1, t is 0 and
-        4 is `UNSEEN`: the minimum may lie beyond. count >= 3, `apart` > 0.
+        upwards by more than 1e-9; 1: C_k; 2: the largest C_l, less C_k, but NaN where C_k is 1, as nothing is compared;
+        3: the least C_l with |l - k| > `apart`, less C_k, `UNSEEN` if there is none; 4: the largest of the lines' costs
+        at k. At k = 0 and k = count - 1, t is 0 and 4 is `UNSEEN`: the minimum may lie beyond. count >= 3, `apart` > 0.
+        """
+
+    def agreeing_disparity(
+        self,
+        found: Sequence[Array],
+        noise: Scalar,
+        *,
+        least_noise: float,
+        same: float,
+        other: float,
+        neighbors: int,
+        first: float,
+        step: float,
+        disparity_out: Array,
+    ) -> None:
+        """Find the disparities of pixels that are sure of them, and whose neighbours have the same: a field [y, x].
+
+        `found` is that of `distinct_minimum`, and s the larger one of `noise` and `least_noise`, the latter if `noise`
+        is NaN. A pixel is sure if found[4] <= min(same s, 1) and found[3] >= other s; its disparity is
+        first + step found[0]. Neighbours, of the eight, have the same if they are sure and theirs differs by 1.5 `step`
+        at most. Where at least so many `neighbors` have it, the result is the mean over these and the pixel, else NaN.
         """

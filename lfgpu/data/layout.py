@@ -107,6 +107,11 @@ class ViewLayout:
             masks=None if self.masks is None else tuple(self.masks[index] for index in kept),
         )
 
+    def crop(self, y: slice, x: slice) -> ViewLayout:
+        """Return the layout of a window of all views, with bounds inside of them."""
+        masks = None if self.masks is None else tuple(mask[y, x] for mask in self.masks)
+        return replace(self, size=(y.stop - y.start, x.stop - x.start), masks=masks)
+
     def _line(self, axis: int) -> NDArray[np.intp]:
         on_line = np.flatnonzero(np.abs(self.offsets[:, 1 - axis]) < _LINE_TOLERANCE)
         return on_line[np.argsort(self.offsets[on_line, axis])]

@@ -21,10 +21,9 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.dry_run import dry_run
 from lfgpu.methods.footprint import GPU_CONTEXT, PROCESS, SPARE, Footprint
-from lfgpu.methods.measured import Measured, Seen, checked_range
+from lfgpu.methods.measured import Measured, Shown, checked_range
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.solvers.solution import Solution
-from lfgpu.threads import in_threads, meanwhile
 
 C = TypeVar("C", bound=Config)
 
@@ -185,19 +184,14 @@ class Method(ABC, Generic[C]):
         """
         if disparity_range is not None:
             return self.measured(lf, checked_range(disparity_range, lf.layout), device)
-        found = []
-        with meanwhile(lambda: found.append(find_disparity_range(lf, device, views=views, held=held))):
-            (seen,) = in_threads(self.seen, [lf])
-        return self.measured(lf, found[0], device, seen=seen)
-
-    def seen(self, lf: LightField) -> Seen | None:
-        """Measure on the host what does not depend on the disparity range; None if the method needs nothing of it."""
-        return None
+        bounds = find_disparity_range(lf, device, views=views, held=held)
+        shown = None if views is None else (views, range(len(lf.views)) if held is None else held)
+        return self.measured(lf, bounds, device, shown=shown)
 
     def measured(
-        self, lf: LightField, bounds: tuple[float, float], device: Device, *, seen: Seen | None = None
+        self, lf: LightField, bounds: tuple[float, float], device: Device, *, shown: Shown | None = None
     ) -> Measured:
-        """Measure what the method needs besides a disparity range, and besides what was `seen` if that is known."""
+        """Measure what the method needs besides a disparity range; some views may be on the device."""
         return Measured(bounds)
 
     def given(

@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
-from lfgpu.methods.measured import exposure_of
+from lfgpu.methods.measured import Typical, exposure_of
 
 _SIDE = 170  # about as many pixels has the shorter side of the shrunk views
 _WINDOW = 250  # pixels along each side, of views that show nothing reduced: so many are not reduced
@@ -39,7 +39,6 @@ _SAME = 4.0  # times the noise: views that differ by less look alike
 _OTHER = 1.6  # times the noise: what other disparities must be worse by
 _APART = 2.0  # shrunk pixels in the farthest view: what differs by more is another disparity
 _AGREEING = 5  # of the eight neighbours
-_LARGEST = 1.0  # intensity: the difference of what no view shows
 _LEAST_NOISE = 0.002  # intensity beside the exposure: half a step of 8 bits
 _OUTLIERS = 5  # pixels left out at either end,
 _UNCHECKED = 500  # or one in so many, where no other view confirms what a pair of views says
@@ -61,7 +60,7 @@ class _Side:
 class _Evidence:
     """Evidence that one comparison found."""
 
-    disparity: Float32Array  # [y, x], NaN where a pixel is no evidence
+    disparity: Any  # [y, x], NaN where a pixel is no evidence; on the device first
     step: float  # distance of the disparities that were compared
     unchecked: bool  # true if each side was a single view, and none stood opposite
 
@@ -187,12 +186,13 @@ class _Search:
 
     def __init__(self, lf: LightField, device: Device, shown: tuple[Array, Sequence[int]] | None, factor: int) -> None:
         self._lf, self._device, self._factor = lf, device, factor
+        self._size = tuple(side // factor for side in lf.size)
         self._views: Array | None = None if shown is None else shown[0]
         self._held = [] if shown is None else list(shown[1])
 
     @cached_property
     def _least_noise(self) -> float:
-        """The least noise that views may have, intensity; it is measured while the device compares."""
+        """The least noise that views may have, intensity."""
         return _LEAST_NOISE * exposure_of(self._lf)
 
     def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
@@ -203,42 +203,32 @@ class _Search:
         chosen = sorted({self._lf.reference_index, *(view for side in sides for view in side.views)})
         images = self._shrunk(chosen)
         started = [self._started(images, chosen, sides, bounds, more) for more in times]
-        least_noise = self._least_noise
-        return [one.evidence(self._device.kernels.numpy(one.found), least_noise) for one in started]
+        read = self._device.kernels.numpy
+        return [replace(one, disparity=read(one.disparity).astype(np.float32, copy=False)) for one in started]
 
     def _started(
         self, images: Array, chosen: list[int], sides: list[_Side], bounds: tuple[float, float], times: int
-    ) -> _Comparison:
+    ) -> _Evidence:
         """Start one comparison, which the device may not have finished."""
-        lf, kernels, factor = self._lf, self._device.kernels, times * self._factor
+        lf, factor = self._lf, times * self._factor
         far = max(float(np.abs(lf.offsets[side.views]).max()) for side in sides)
         step = max(_STEP * factor / far, (bounds[1] - bounds[0]) / (_MOST - 1))
         count = max(3, math.ceil((bounds[1] - bounds[0]) / step) + 1)
         at = {view: place for place, view in enumerate(chosen)}
-        lines = [
-            [[at[view] for view in side.views] for side in sides if side.horizontal == horizontal]
+        lines = tuple(
+            tuple(tuple(at[view] for view in side.views) for side in sides if side.horizontal == horizontal)
             for horizontal in sorted({side.horizontal for side in sides})
-        ]
-        full, (height, width) = [side // self._factor for side in lf.size], (side // factor for side in lf.size)
-        reduce = kernels.details((len(chosen), *full), self._device.name, factor=times, window=_DETAIL)
-        compare = kernels.side_costs(
-            (len(chosen), height, width),
-            lf.offsets[chosen] / factor,
-            lines,
-            self._device.name,
-            reference=at[lf.reference_index],
-            first=bounds[0],
-            step=step,
-            count=count,
         )
-        details = self._device.zeros((len(chosen), height, width))
-        volume = self._device.zeros((len(lines), count, height, width))
-        found = self._device.zeros((5, height, width))
-        reduce(images, details)
-        compare(details, volume)
-        kernels.distinct_minimum(volume, apart=max(1, round(_APART * factor / far / step)), found_out=found)
-        unchecked = len(lines) == len(sides) and all(len(side.views) == 1 for side in sides)
-        return _Comparison(found, bounds[0], step, unchecked)
+        size, offsets, reference = (len(chosen), *self._size), lf.offsets[chosen] / factor, at[lf.reference_index]
+        compare = self._device.kept(
+            ("comparison", len(chosen), times),
+            (size, offsets.tobytes(), lines, reference, count),
+            lambda: _Comparison(self._device, size, offsets, lines, reference, times=times, count=count),
+        )
+        disparity = compare(
+            images, bounds[0], step, apart=max(1, round(_APART * factor / far / step)), least_noise=self._least_noise
+        )
+        return _Evidence(disparity, step, len(lines) == len(sides) and all(len(side.views) == 1 for side in sides))
 
     def _shrunk(self, chosen: list[int]) -> Array:
         """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
@@ -254,7 +244,8 @@ class _Search:
                 views, places = device.image(lf.views[some]), list(range(len(some)))
                 forget(lf.views)
             valid = None if lf.valid is None else device.field(lf.valid[some])
-            images = device.zeros((len(some), *(side // self._factor for side in lf.size)))
+            shape = len(some), *self._size
+            images = device.kept(("shrunk", begin, shape), None, partial(device.zeros, shape))
             kernels.shrink(views, places, valid, scale=lf.scale, factor=self._factor, images_out=images)
             parts.append(images)
         if len(parts) == 1:
@@ -262,45 +253,46 @@ class _Search:
         return device.field(np.concatenate([kernels.numpy(part) for part in parts]))
 
 
-@dataclass(frozen=True, eq=False)
 class _Comparison:
-    """Outcome of a comparison on the device."""
+    """A comparison of images [n, y, x], with its plans and its memory.
 
-    found: Array  # see `RangeSearch.distinct_minimum` in `lfgpu/contract`
-    first: float
-    step: float
-    unchecked: bool
-
-    def evidence(self, found: NDArray[np.floating], least_noise: float) -> _Evidence:
-        """Select the pixels that are evidence, of `found` on the host.
-
-        Views differ there by the noise at most, along each line, and by clearly more at all other disparities. The
-        noise is the median difference at the better textured half of the pixels.
-        """
-        place, least, spread, others, worst = found.astype(np.float32, copy=False)
-        seen = least < _LARGEST  # masked pixels have no say
-        if not seen.any():
-            return _Evidence(np.full(place.shape, np.nan, np.float32), self.step, self.unchecked)
-        noise = max(float(np.median(least[seen & (spread >= np.median(spread[seen]))])), least_noise)
-        certain = (worst <= min(_SAME * noise, 1.0)) & (others >= _OTHER * noise)
-        disparity = np.where(certain, self.first + self.step * place, np.inf).astype(np.float32)
-        count, mean = _agreeing(disparity, 1.5 * self.step)
-        return _Evidence(np.where(count >= _AGREEING, mean, np.float32(np.nan)), self.step, self.unchecked)
-
-
-def _agreeing(disparity: Float32Array, tolerance: float) -> tuple[NDArray[np.int8], Float32Array]:
-    """Count the neighbours of each pixel, of eight, that have its disparity, and average these and the pixel, [y, x].
-
-    Both are 0 where a disparity is infinite.
+    Views differ at pixels that are evidence by the noise at most, along each line, and by clearly more at all other
+    disparities. The noise is the median difference at the better textured half of the pixels.
     """
-    height, width = disparity.shape
-    padded = np.pad(disparity, 1, constant_values=np.inf)
-    finite = np.where(np.isfinite(padded), padded, np.float32(0))
-    total, count = np.zeros(disparity.shape, np.float32), np.zeros(disparity.shape, np.int8)
-    for dy, dx in np.ndindex(3, 3):
-        near = np.s_[dy : dy + height, dx : dx + width]
-        with np.errstate(invalid="ignore"):  # infinite ones have no difference
-            same = np.abs(padded[near] - disparity) <= tolerance
-        total += finite[near] * same
-        count += same
-    return np.maximum(count - 1, 0), (total / np.maximum(count, 1)).astype(np.float32)
+
+    def __init__(
+        self,
+        device: Device,
+        shape: tuple[int, ...],
+        offsets: Float64Array,
+        lines: Sequence[Sequence[Sequence[int]]],
+        reference: int,
+        *,
+        times: int,
+        count: int,
+    ) -> None:
+        n, height, width = shape[0], shape[1] // times, shape[2] // times
+        self._kernels, small = device.kernels, (n, height, width)
+        self._reduce = self._kernels.details(shape, device.name, factor=times, window=_DETAIL)
+        self._compare = self._kernels.side_costs(small, offsets, lines, device.name, reference=reference, count=count)
+        self._details, self._volume = device.zeros(small), device.zeros((len(lines), count, height, width))
+        *self._found, self._disparity = (device.zeros((height, width)) for _ in range(6))
+        self._noise = Typical(device)
+
+    def __call__(self, images: Array, first: float, step: float, *, apart: int, least_noise: float) -> Array:
+        """Compare at the disparities from `first` on; return those of the pixels that are evidence, NaN elsewhere."""
+        self._reduce(images, self._details)
+        self._compare(self._details, first, step, self._volume)
+        self._kernels.distinct_minimum(self._volume, apart=apart, found_out=self._found)
+        self._kernels.agreeing_disparity(
+            self._found,
+            self._noise(self._found[1], self._found[2]),
+            least_noise=least_noise,
+            same=_SAME,
+            other=_OTHER,
+            neighbors=_AGREEING,
+            first=first,
+            step=step,
+            disparity_out=self._disparity,
+        )
+        return self._disparity

@@ -1,22 +1,15 @@
 """Measurements on a light field before the estimate: its disparity range, its noise and its exposure."""
 
-import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from lfgpu.contract import Array, Device, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import check_unchanged
 from lfgpu.errors import LightFieldError
-
-
-@dataclass(frozen=True)
-class Seen:
-    """The grain and the exposure of a light field, whatever its disparities; as in `Measured`."""
-
-    grain: float
-    exposure: float
 
 
 @dataclass(frozen=True)
@@ -54,8 +47,40 @@ def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> t
     return low, high
 
 
-_SIDE = 256  # pixels: about as many rows and columns of the reference view are looked at
-_BRIGHT = 99  # percentile: what is brighter may be lamps and glints
+Shown = tuple[Array, Sequence[int]]
+"""Views [n, y, x, c] of a light field that are on the device, and which these are."""
+
+
+def load_window(
+    lf: LightField, chosen: Sequence[int], y: slice, x: slice, device: Device, shown: Shown | None, *, views_out: Array
+) -> None:
+    """Copy a window of some views into an image of their type, on the device if they are there."""
+    check_unchanged(lf.views)
+    views, held = shown or (None, ())
+    if set(chosen) <= set(held):
+        line, corner = [held.index(view) for view in chosen], (y.start, x.start)
+        device.kernels.line_of_views(views, line, vertical=False, corner=corner, epis_out=views_out)
+    else:
+        device.kernels.upload(lf.views[:, y, x], views_out, chosen=chosen)
+
+
+class Typical:
+    """The median of differences at the half of the pixels, or more, where they vary most.
+
+    Pixels without texture agree at all disparities. Where `variation` is NaN a pixel has no say.
+    """
+
+    def __init__(self, device: Device) -> None:
+        self._quantile, self._half, self._found = device.kernels.quantile, device.scalar(0.0), device.scalar(0.0)
+
+    def __call__(self, differences: Array, variation: Array) -> Scalar:
+        self._quantile(variation, 0.5, quantile_out=self._half)
+        self._quantile(differences, 0.5, quantile_out=self._found, among=variation, least=self._half)
+        return self._found
+
+
+_ROWS = 256  # about as many of the reference view are looked at
+_BRIGHT = 0.01  # share of the values, above which there may be lamps and glints
 
 
 def exposure_of(lf: LightField) -> float:
@@ -65,8 +90,13 @@ def exposure_of(lf: LightField) -> float:
     upper half of the range have 1. The methods scale by it what they compare intensities with.
     """
     check_unchanged(lf.views)
-    step = max(1, min(lf.size) // _SIDE)
-    view = lf.views[lf.reference_index, ::step, ::step]
-    values = view if lf.valid is None else view[lf.valid[lf.reference_index, ::step, ::step]]
-    bright = float(np.percentile(values, _BRIGHT)) * lf.scale if values.size else 0.0
-    return 2.0 ** min(0, math.ceil(math.log2(bright))) if bright > 0 else 1.0
+    rows = lf.reference_index, slice(None, None, max(1, lf.size[0] // _ROWS))
+    values = lf.views[rows] if lf.valid is None else lf.views[rows][lf.valid[rows]]
+
+    def is_below(bright: float) -> bool:
+        return bool(np.count_nonzero(values > values.dtype.type(bright / lf.scale)) <= _BRIGHT * (values.size - 1))
+
+    exposure = 1.0
+    while not is_below(0.0) and is_below(exposure / 2):
+        exposure /= 2
+    return exposure

@@ -1,22 +1,21 @@
-"""`RecyclingDevice`: a device whose buffers serve one plan after another."""
+"""Devices whose memory serves one light field after another: to allocate takes a device longer than to clear."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from lfgpu.contract import Array, Device
 
+_Kept = TypeVar("_Kept")
+
 
 @dataclass(frozen=True)
 class RecyclingDevice(Device):
-    """A device that keeps the fields and images that it handed out, for the next plan of the same light fields.
-
-    To allocate memory takes a device longer than to clear it.
-    """
+    """A device that keeps the fields and images that it handed out, for the next plan of the same light fields."""
 
     _lent: dict[Any, list[Array]] = field(default_factory=dict, compare=False)
     _free: dict[Any, list[Array]] = field(default_factory=dict, compare=False)
@@ -38,3 +37,17 @@ class RecyclingDevice(Device):
         array = self.kernels.clear(free.pop()) if free else make(kind[0])
         self._lent.setdefault(kind, []).append(array)
         return array
+
+
+@dataclass(frozen=True)
+class KeepingDevice(Device):
+    """A device that keeps what measures light fields of one kind: of each name, what was made last."""
+
+    _things: dict[Hashable, tuple[Hashable, Any]] = field(default_factory=dict, compare=False)
+
+    def kept(self, name: Hashable, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
+        if name not in self._things or self._things[name][0] != key:
+            self._things.pop(name, None)  # its memory first
+            self._things[name] = key, make()
+        thing: _Kept = self._things[name][1]
+        return thing

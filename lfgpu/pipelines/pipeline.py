@@ -23,7 +23,7 @@ from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.measured import Measured
-from lfgpu.methods.recycling import RecyclingDevice
+from lfgpu.methods.recycling import KeepingDevice, RecyclingDevice
 from lfgpu.pipelines.range_confirmation import confirm
 from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
@@ -104,6 +104,7 @@ class DepthPipeline:
             lf = rectifier.rectified(pictures, place)
         self._backend, self._is_raw = backend, rectifier is not None
         self._buffers = RecyclingDevice(place.kernels, place.name)
+        self._measuring = KeepingDevice(place.kernels, place.name) if place.is_gpu else place  # a CPU allocates fast
         self._plan: Plan
         self._bytes: int | None = None  # of its memory, about
         self._graph: Callable[[], None] | None = None
@@ -169,7 +170,7 @@ class DepthPipeline:
 
     def _measure(self, disparity_range: tuple[float, float] | None) -> Measured:
         shown = {} if self._is_raw else {"views": self._front.views, "held": self._used}
-        return self.method.measure(self._lf, self._device, disparity_range=disparity_range, **shown)
+        return self.method.measure(self._lf, self._measuring, disparity_range=disparity_range, **shown)
 
     def upload(self, views: Any) -> None:
         """Replace the views.

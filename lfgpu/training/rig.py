@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu._backends import open_device
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods import method_of
@@ -74,7 +75,7 @@ def measured_rig(light_fields: Sequence[LightField], *, backend: str, device: st
     The noise is that of the least noisy light field: what textures add to it differs from one to the next.
     """
     arrays, low, high, grains, levels = [], math.inf, -math.inf, [], []
-    method = method_of("learned")
+    method, place = method_of("learned"), open_device(backend, device)
     for lf in light_fields:
         layout = lf.layout.subset(method.used_views(lf.offsets))
         offsets = np.delete(layout.offsets, layout.reference, 0)
@@ -82,7 +83,7 @@ def measured_rig(light_fields: Sequence[LightField], *, backend: str, device: st
         measured, _ = measured_on(lf, config="learned", disparity_range=None, backend=backend, device=device)
         low = min(low, measured.disparity_range[0] * layout.farthest)
         high = max(high, measured.disparity_range[1] * layout.farthest)
-        grains.append(measured_grain(lf))
+        grains.append(measured_grain(lf, place))
         levels.append(float(lf.image(lf.reference_index).mean()))
     return Rig(
         arrays=tuple(arrays),

@@ -77,6 +77,7 @@ def range_search_inputs(case: RangeSearchCase, rng: np.random.Generator) -> Simp
     lines = [[[next(numbers) for _ in side] for side in line] for line in case.lines]
     volume = (rng.integers(0, 64, (len(lines), case.count, *small)) / 64).astype(np.float32)
     volume[rng.uniform(size=volume.shape) < 0.1] = 2.0
+    found = rng.integers(0, 16, (5, *small)) / np.array([8, 16, 16, 64, 64])[:, None, None]
     return SimpleNamespace(
         views=views,
         chosen=chosen,
@@ -92,6 +93,7 @@ def range_search_inputs(case: RangeSearchCase, rng: np.random.Generator) -> Simp
         row={"first": case.first, "step": case.step, "count": case.count},
         volume=volume,
         apart=case.apart,
+        found=found,
     )
 
 
@@ -119,18 +121,31 @@ def details(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def side_costs(desk: Desk, i: SimpleNamespace) -> Outputs:
-    plan = desk.kernels.side_costs(i.details.shape, i.offsets, i.lines, desk.device, reference=0, **i.row)
-    out = desk.out((len(i.lines), i.row["count"], *i.details.shape[1:]))
-    plan(desk.field(1 - i.details[::-1]), out)
-    plan(desk.field(i.details), out)
+    count, shape = i.row["count"], i.details.shape
+    plan = desk.kernels.side_costs(shape, i.offsets, i.lines, desk.device, reference=0, count=count)
+    out = desk.out((len(i.lines), count, *shape[1:]))
+    plan(desk.field(1 - i.details[::-1]), 0.25, 0.5, out)
+    plan(desk.field(i.details), i.row["first"], i.row["step"], out)
     return {"volume": out}
 
 
 def distinct_minimum(desk: Desk, i: SimpleNamespace) -> Outputs:
     """Of costs whose means are exact in float32, so that which is least is beyond doubt."""
-    out = desk.out((5, *i.volume.shape[2:]))
-    desk.kernels.distinct_minimum(desk.field(i.volume), apart=i.apart, found_out=out)
-    return {"found": out}
+    outs = [desk.out(i.volume.shape[2:]) for _ in range(5)]
+    desk.kernels.distinct_minimum(desk.field(i.volume), apart=i.apart, found_out=outs)
+    spread = known_and_values(desk, outs[2])
+    return {"place": outs[0], "least": outs[1], **spread, "others": outs[3], "worst": outs[4]}
+
+
+def agreeing_disparity(desk: Desk, i: SimpleNamespace) -> Outputs:
+    """With the noise of the views, and with one that is unknown."""
+    found, both = [desk.field(values) for values in i.found], {}
+    numbers = {"same": 4.0, "other": 1.5, "neighbors": 3, "first": i.row["first"], "step": i.row["step"]}
+    for noise in (0.0625, np.nan):
+        out = desk.out(i.small)
+        desk.kernels.agreeing_disparity(found, desk.number(noise), least_noise=0.03125, **numbers, disparity_out=out)
+        both |= {f"{name} at {noise}": values for name, values in known_and_values(desk, out).items()}
+    return both
 
 
 def relative_to_one(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
@@ -143,5 +158,6 @@ OPERATIONS = (
     Operation(details, "range search", relative_to_one),
     Operation(side_costs, "range search", relative_to_one),
     Operation(distinct_minimum, "range search"),
+    Operation(agreeing_disparity, "range search"),
 )
-SHRINK, DETAILS, COSTS, DISTINCT = OPERATIONS
+SHRINK, DETAILS, COSTS, DISTINCT, AGREEING = OPERATIONS

@@ -47,6 +47,8 @@ CHOSEN = (
     r"(brightness|fold)-(colour-uint8|grey-uint16|half-precision|room)",
     r"convolution-(half-)?(all-around|as-it-is|pixel|an-image|a-coarse|strides|many|one-voxel|large|work-for)",
     r"peak-",
+    r"(quantile|window_grain)-(colour|grey|few|the-|nothing|least|work-for)",
+    r"(distinct_minimum|agreeing_disparity)-(colour|one-line|work-for)",
 )
 """Of the matrix, by name."""
 

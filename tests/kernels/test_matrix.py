@@ -13,6 +13,7 @@ import alignment_checks
 import checks
 import learned_checks
 import local_checks
+import measuring_checks
 import nlm_checks
 import numpy as np
 import occlusion_checks
@@ -54,6 +55,7 @@ INPUTS: dict[str, tuple[tuple[Any, ...], Any]] = {
     "volume": (volume_checks.VOLUME_CASES, volume_checks.volume_inputs),
     "reduced": (volume_checks.REDUCED_CASES, volume_checks.volume_inputs),
     "range search": (range_search_checks.RANGE_SEARCH_CASES, range_search_checks.range_search_inputs),
+    "measuring": (measuring_checks.MEASURING_CASES, measuring_checks.measuring_inputs),
     "epi": (local_checks.EPI_CASES, local_checks.epi_inputs),
     "coherence": (local_checks.COHERENCE_CASES, local_checks.coherence_inputs),
     "vector": (vector_checks.VECTOR_CASES, vector_checks.vector_inputs),
@@ -77,6 +79,7 @@ FAMILIES = (
     resampling_checks,
     smoothing_checks,
     range_search_checks,
+    measuring_checks,
     streaming_checks,
 )
 OPERATIONS = tuple(operation for family in FAMILIES for operation in family.OPERATIONS)

@@ -30,6 +30,7 @@ from lfgpu.kernels.warp import (  # noqa: E402
     gpu_data_term,
     gpu_lbfgs,
     gpu_plane_sweep,
+    measuring,
     native_code,
     nlm,
     nlm_regression,
@@ -53,8 +54,13 @@ def gpu_kernels() -> Iterator[Any]:
     yield views._copy_kernels(3, byte)
     yield views._normalization_kernels(3, byte, float16, 1.0)
     yield range_search._shrink_kernel(3, byte, 1)
-    for name in ("shrink_again", "add_rows", "subtract_means", "add_differences", "find_costs", "find_distinct"):
+    for name in ("shrink_again", "add_rows", "subtract_means", "add_differences", "find_costs"):
         yield range_search._kernel(name, 1)
+    yield [range_search._kernel(name, 1) for name in ("find_distinct", "find_agreeing")]
+    yield [
+        measuring._quantile_kernel(),
+        *(measuring._kernel(f"find_{what}", 3, 1) for what in ("differences", "grain")),
+    ]
     yield [smoothing._tiles_kernel(3, byte), smoothing._reduce_kernel(3, byte)]
     yield [cost_volume._pixels_kernel(2), cost_volume._add_kernel()]
     yield [cost_volume._minimum_kernel(name, 1) for name in ("find_least", "find_lowest")]

@@ -26,7 +26,8 @@ from learned_checks import (
     peak_inputs,
     sector_inputs,
 )
-from range_search_checks import COSTS, DETAILS, DISTINCT, SHRINK, RangeSearchCase, range_search_inputs
+from measuring_checks import GRAIN, MeasuringCase, measuring_inputs
+from range_search_checks import AGREEING, COSTS, DETAILS, DISTINCT, SHRINK, RangeSearchCase, range_search_inputs
 from resampling_checks import RESAMPLE, ResamplingCase, resampling_inputs
 from smoothing_checks import REDUCTION_CASES, SMOOTHING_CASES, SmoothingCase, smoothing_inputs
 from test_reference import REFERENCE
@@ -382,8 +383,9 @@ def test_the_distinct_minimum_is_that_of_a_loop(rng: np.random.Generator) -> Non
         costs = [float(np.minimum(i.volume[:, label, y, x].astype(np.float64), 1).mean()) for label in range(count)]
         k = costs.index(min(costs))
         others = [cost for label, cost in enumerate(costs) if abs(label - k) > SEARCH_CASE.apart]
-        place, least, spread, other, worst = got["found"][:, y, x]
-        assert (least, spread) == (costs[k], max(costs) - costs[k])
+        place, least, other, worst = (got[name][y, x] for name in ("place", "least", "others", "worst"))
+        assert got["known"][y, x] == (costs[k] < 1)
+        assert (least, got["values"][y, x]) == (costs[k], max(costs) - costs[k] if costs[k] < 1 else 0)
         assert other == (min(others) - costs[k] if others else UNSEEN)
         if 0 < k < count - 1:
             before, here, next_ = costs[k - 1 : k + 2]
@@ -392,6 +394,46 @@ def test_the_distinct_minimum_is_that_of_a_loop(rng: np.random.Generator) -> Non
             assert worst == i.volume[:, k, y, x].max()
         else:
             assert (place, worst) == (k, UNSEEN)
+
+
+def test_pixels_agree_as_a_loop_says(rng: np.random.Generator) -> None:
+    i, got = run(AGREEING, SEARCH_CASE, rng)
+    place, _, _, others, worst = i.found
+    height, width = i.small
+
+    def said(y: int, x: int, noise: float) -> float | None:
+        """The disparity of a pixel that is sure of it."""
+        inside = 0 <= y < height and 0 <= x < width
+        is_sure = inside and worst[y, x] <= min(4 * noise, 1) and others[y, x] >= 1.5 * noise
+        return SEARCH_CASE.first + SEARCH_CASE.step * place[y, x] if is_sure else None
+
+    for (y, x), (name, noise) in itertools.product(np.ndindex(height, width), (("0.0625", 1 / 16), ("nan", 1 / 32))):
+        here, near = said(y, x, noise), []
+        if here is not None:
+            near = [said(y + dy, x + dx, noise) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
+            near = [one for one in near if one is not None and abs(one - here) <= 1.5 * SEARCH_CASE.step]
+        assert got[f"known at {name}"][y, x] == (len(near) > 3)
+        assert got[f"values at {name}"][y, x] == pytest.approx(sum(near) / len(near) if len(near) > 3 else 0)
+    assert 0 < got["known at 0.0625"].mean() < 1
+
+
+def test_grain_is_that_of_windows_without_limits(rng: np.random.Generator) -> None:
+    case = MeasuringCase("any", size=(16, 18), unknown=0.0)
+    i = measuring_inputs(case, rng)
+    got = checks.compute(REFERENCE, "cpu", GRAIN, i)
+    height, width = got["differences_out values"].shape
+    for y, x in np.ndindex(height, width):
+        block = i.image[y : y + 5, x : x + 5].astype(np.float64)
+        twice = np.abs(np.diff(np.diff(block, 4, axis=0), 4, axis=1)).mean()
+        assert got["differences_out values"][y, x] == pytest.approx(math.sqrt(math.pi / 2) / 70 * twice, abs=1e-12)
+        assert got["limited_out values"][y, x] == np.any((block == i.limits[0]) | (block == i.limits[1]))
+    for y, x in np.ndindex(height - 6, width - 6):
+        window = np.s_[y : y + 7, x : x + 7]
+        mean = got["differences_out values"][window].mean()
+        counts = mean > i.least_grain or not got["limited_out values"][window].any()
+        assert got["grain_out known"][y + 3, x + 3] == counts
+        assert got["grain_out values"][y + 3, x + 3] == pytest.approx(mean if counts else 0, abs=1e-12)
+    assert 0 < got["grain_out known"].mean() < 1
 
 
 @pytest.mark.parametrize("case", CHOICE_CASES, ids=str)

@@ -94,7 +94,11 @@ def line_of_views(desk: Desk, i: SimpleNamespace) -> Outputs:
     desk.kernels.line_of_views(desk.image(i.views), i.line, vertical=i.vertical, epis_out=out)
     fields = desk.out((len(i.line), *size))
     desk.kernels.line_of_views(desk.field(i.views[..., 0]), i.line, vertical=i.vertical, epis_out=fields)
-    return {"epis": desk.stored_values(out), "fields": fields}
+    top, left = height // 3, width // 2
+    window = (width - left, height - top) if i.vertical else (height - top, width - left)
+    part, options = desk.out((len(i.line), *window)), {"vertical": i.vertical, "corner": (top, left)}
+    desk.kernels.line_of_views(desk.field(i.views[..., 0]), i.line, **options, epis_out=part)
+    return {"epis": desk.stored_values(out), "fields": fields, "window": part}
 
 
 def normalization(desk: Desk, i: SimpleNamespace) -> Outputs:

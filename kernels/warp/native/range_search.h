@@ -177,7 +177,9 @@ void find_costs(
 }
 
 // The least cost, where it is, and how far it lies below others: what `distinct_minimum` says.
-void find_distinct(int tid, Array4<float> volume, int apart, int row, int lanes, Array3<float> found_out) {
+void find_distinct(
+    int tid, Array4<float> volume, int apart, int row, int lanes, Array2<float> place_out, Array2<float> least_out,
+    Array2<float> spread_out, Array2<float> others_out, Array2<float> worst_out) {
     const int y = row + tid / lanes;
     for (int x0 = tid % lanes * BLOCK; x0 < volume.shape[3]; x0 += lanes * BLOCK) {
         const int m = volume.shape[0], count = volume.shape[1], height = volume.shape[2], width = volume.shape[3];
@@ -209,7 +211,6 @@ void find_distinct(int tid, Array4<float> volume, int apart, int row, int lanes,
                 const bool away = l > places[j] + apart || l < places[j] - apart;
                 others[j] = away && cost < others[j] ? cost : others[j];
             }
-        float* const out = found_out.data + at;
         for (int j = 0; j < columns; ++j) {
             const int k = places[j];
             const bool inner = k > 0 && k < count - 1;
@@ -221,11 +222,43 @@ void find_distinct(int tid, Array4<float> volume, int apart, int row, int lanes,
                 const float a = costs[k * plane + j], b = second[k * plane + j];
                 worst = a > b ? a : b;
             }
-            out[j] = k + t;
-            out[plane + j] = least[j];
-            out[2 * plane + j] = most[j] - least[j];
-            out[3 * plane + j] = others[j] < UNSEEN ? others[j] - least[j] : UNSEEN;
-            out[4 * plane + j] = worst;
+            place_out.data[at + j] = k + t;
+            least_out.data[at + j] = least[j];
+            spread_out.data[at + j] = least[j] < 1.f ? most[j] - least[j] : NAN;
+            others_out.data[at + j] = others[j] < UNSEEN ? others[j] - least[j] : UNSEEN;
+            worst_out.data[at + j] = worst;
         }
+    }
+}
+
+// The mean disparity of a pixel that is sure of it and of its neighbours that have the same.
+void find_agreeing(
+    int tid, Array2<float> place, Array2<float> others, Array2<float> worst, Array1<double> noise, double least_noise,
+    double same, double other, int neighbors, float first, float step, int row, int lanes,
+    Array2<float> disparity_out) {
+    const int y = row + tid / lanes, height = place.shape[0], width = place.shape[1];
+    const double s = noise.data[0] > least_noise ? noise.data[0] : least_noise;
+    const float most = same * s < 1. ? same * s : 1., least = other * s;
+    auto is_sure = [&](size_t at) { return worst.data[at] <= most && others.data[at] >= least; };
+    auto disparity_of = [&](size_t at) {
+        const float along = step * place.data[at];  // a sum of its own, rounded as everywhere
+        return first + along;
+    };
+    for (int x = tid % lanes; x < width; x += lanes) {
+        const size_t at = (size_t)y * width + x;
+        float total = 0.f;
+        int count = 0;
+        if (is_sure(at)) {
+            const float here = disparity_of(at), tolerance = 1.5f * step;
+            for (int r = y > 0 ? y - 1 : 0; r <= y + 1 && r < height; ++r)
+                for (int q = x > 0 ? x - 1 : 0; q <= x + 1 && q < width; ++q) {
+                    const size_t near = (size_t)r * width + q;
+                    const float there = disparity_of(near), apart = there - here;
+                    if (!is_sure(near) || apart > tolerance || apart < -tolerance) continue;
+                    total += there;
+                    ++count;
+                }
+        }
+        disparity_out.data[at] = count > neighbors ? total / count : NAN;
     }
 }

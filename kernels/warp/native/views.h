@@ -8,11 +8,12 @@
 
 // Copy a row of the EPIs of a line of views; Warp's own indices have 64 bits, and take a GPU longer than the memory.
 void copy_line(
-    int tid, Array3<Stored> views, Array1<int> line, int vertical, int row, int lanes, Array3<Stored> epis_out) {
+    int tid, Array3<Stored> views, Array1<int> line, int vertical, int top, int left, int row, int lanes,
+    Array3<Stored> epis_out) {
     const int y = row + tid / lanes, lane = tid % lanes;
     const int rows = views.shape[1], columns = views.shape[2], height = epis_out.shape[1], width = epis_out.shape[2];
     for (int x = lane; x < width; x += lanes) {
-        const size_t from = vertical ? (size_t)x * columns + y : (size_t)y * columns + x;
+        const size_t from = (size_t)(top + (vertical ? x : y)) * columns + left + (vertical ? y : x);
         const auto* const in = views.data + from;
         auto* const out = epis_out.data + (size_t)y * width + x;
         #pragma unroll 4

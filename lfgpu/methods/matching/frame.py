@@ -63,7 +63,7 @@ class Frame:
     """The views of a frame on the device, with parameters in units of the noise.
 
     Smoothing averages pixels of a view that differ by `deviation`, intensity; None: no smoothing. `masked` says that
-    masks may come that the layout does not have.
+    masks may come that the layout does not have. Volumes have room for a `multiple` of so many disparities.
     """
 
     def __init__(
@@ -75,11 +75,13 @@ class Frame:
         *,
         deviation: float | None,
         masked: bool = False,
+        multiple: int | None = None,
     ) -> None:
         layout, image = chosen.used, (*chosen.used.size, chosen.used.channels)
         self.arena, self.kernels, self.config, self.bounds = arena, arena.kernels, config, bounds
         self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
-        self._multiple = 1 if arena.changing is None else _ROOM["gpu" if arena.device.is_gpu else "cpu"]
+        room = 1 if arena.changing is None else _ROOM["gpu" if arena.device.is_gpu else "cpu"]
+        self._multiple = multiple or room
         self.disparities = compared_disparities(bounds, layout.farthest, config.sweep, multiple=self._multiple)
         """The disparities that sweeps compare."""
         self.moving: list[PlaneSweep] = []

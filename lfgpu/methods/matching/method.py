@@ -17,7 +17,7 @@ from lfgpu.methods.matching.passes import sweeps_of
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.matching.temporal import TemporalMatching
 from lfgpu.methods.matching.views import used_views
-from lfgpu.methods.measured import Measured, Seen, checked_range, exposure_of
+from lfgpu.methods.measured import Measured, Shown, checked_range, exposure_of
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _REDUCED = 3  # pixels of reduced views on which a pixel depends: by differences and by interpolation
@@ -56,21 +56,17 @@ class Matching(Method[MatchingConfig]):
     def used_views(self, offsets: Float64Array) -> list[int]:
         return used_views(offsets, self.config.sweep.views)
 
-    def seen(self, lf: LightField) -> Seen | None:
-        if self.config.sweep.noise:
-            return None
-        exposure = exposure_of(lf)
-        return Seen(measured_grain(lf, exposure), exposure)
-
     def measured(
-        self, lf: LightField, bounds: tuple[float, float], device: Device, *, seen: Seen | None = None
+        self, lf: LightField, bounds: tuple[float, float], device: Device, *, shown: Shown | None = None
     ) -> Measured:
-        config, seen = self.config.sweep, seen or self.seen(lf)
-        if seen is None:
+        config = self.config.sweep
+        if config.noise:
             return Measured(bounds, *of_given_noise(config.noise, config))
-        deviation = smoothing_deviation(seen.grain, config)
-        noise = measured_noise(lf, bounds, exposed(self.config, seen.exposure), device, deviation=deviation)
-        return Measured(bounds, noise, seen.grain, exposure=seen.exposure)
+        exposure = exposure_of(lf)
+        grain = measured_grain(lf, device, exposure, shown=shown)
+        deviation = smoothing_deviation(grain, config)
+        noise = measured_noise(lf, bounds, exposed(self.config, exposure), device, deviation=deviation, shown=shown)
+        return Measured(bounds, noise, grain, exposure=exposure)
 
     def given(
         self, layout: ViewLayout, disparity_range: tuple[float, float] | None, noise: float | None = None

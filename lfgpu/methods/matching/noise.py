@@ -9,16 +9,17 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 
 from lfgpu.config import Section
-from lfgpu.contract import Device
+from lfgpu.contract import GRAIN_WINDOW, Device
+from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.windows import window_max, window_mean, window_min
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
+from lfgpu.methods.matching.disparities import compared_disparities
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
-from lfgpu.threads import in_threads
+from lfgpu.methods.measured import Shown, Typical, load_window
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -32,16 +33,18 @@ _LEAST_NOISE, _LEAST_SMOOTHED, _MOST_NOISE = 0.7, 0.3, 5.0  # range of noise, in
 _CLEAN = 0.0035  # intensity: the noise of views without grain, which are interpolated
 _LEFT = 0.3  # share of the grain that is left in the noise of smoothed views
 _SEEN = 0.69  # share of the grain in the noise of views, which are interpolated and truncated
-_FOURTH_DIFFERENCE = (1, -4, 6, -4, 1)
-_GRAIN_WINDOW = 7  # pixels
-_GRAIN_SEEN = _GRAIN_WINDOW + len(_FOURTH_DIFFERENCE) - 1  # pixels: side of the part that a window's differences see
 _GRAIN_SAMPLE = 512  # pixels: side of the part of the image in which the grain is measured
-_BAND = 32  # rows that are differenced together: what lies between two steps stays in the cache
-_GRAIN_SHARE = 5  # percent of the windows that show nothing but noise, at least
+_GRAIN_SHARE = 0.05  # of the windows that show nothing but noise, at least
 _LEAST_GRAIN = 5e-5  # intensity: less than a quarter of a step of 12 bits is no noise
 
 
-def measured_grain(lf: LightField, exposure: float = 1.0) -> float:
+def _middle(lf: LightField, most: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the middle of an image, so many at most."""
+    height, width = (slice(max(0, (side - most) // 2), min(side, (side + most) // 2)) for side in lf.size)
+    return height, width
+
+
+def measured_grain(lf: LightField, device: Device, exposure: float = 1.0, *, shown: Shown | None = None) -> float:
     """Measure the grain: the standard deviation of the noise of the reference view, intensity; 0 if there is none.
 
     `exposure` is that of the views: less than `_LEAST_GRAIN` of it is none.
@@ -51,22 +54,44 @@ def measured_grain(lf: LightField, exposure: float = 1.0) -> float:
     constant window that holds the brightest or the darkest pixel of the image does not count, as noise may be cut off
     there.
     """
-    least = exposure * _LEAST_GRAIN
-    lf = lf.crop(*(slice(max(0, (side - _GRAIN_SAMPLE) // 2), (side + _GRAIN_SAMPLE) // 2) for side in lf.size))
-    inner = np.s_[2:-2, 2:-2]
-    if min(lf.size) < _GRAIN_SEEN:
+    least, window = exposure * _LEAST_GRAIN, _middle(lf, _GRAIN_SAMPLE)
+    layout = lf.layout.crop(*window)
+    if min(layout.size) < GRAIN_WINDOW + 4:
         return 0.0
-    planes = np.ascontiguousarray(np.moveaxis(lf.views[lf.reference_index], -1, 0)) * np.float32(lf.scale)
-    bands = [planes[:, top : top + _BAND + 4] for top in range(0, lf.size[0] - 4, _BAND)]
-    fine = in_threads(lambda band: np.abs(np.diff(np.diff(band, 4, axis=1), 4, axis=2)).sum(0), bands)
-    unit = math.sqrt(math.pi / 2) / np.square(_FOURTH_DIFFERENCE).sum()
-    sizes = window_mean(np.concatenate(fine) / np.float32(lf.channels) * np.float32(unit), _GRAIN_WINDOW)
-    limits = ((planes == planes.min((1, 2), keepdims=True)) | (planes == planes.max((1, 2), keepdims=True))).any(0)
-    counts = (sizes > least) | ~window_max(limits, _GRAIN_SEEN)[inner]
-    if lf.valid is not None:
-        counts &= window_min(lf.valid[lf.reference_index], _GRAIN_SEEN)[inner]
-    grain = float(np.percentile(sizes[counts], _GRAIN_SHARE)) if counts.any() else 0.0
+    grain_of = device.kept("grain", layout.shape, lambda: _Grain(device, layout))
+    grain = grain_of(lf, window, least, shown)
     return grain if grain > least else 0.0
+
+
+class _Grain:
+    """The quantile of differences in windows of the reference view, with its memory."""
+
+    def __init__(self, device: Device, layout: ViewLayout) -> None:
+        height, width, channels = shape = layout.shape[1:]
+        self._device, self._found, self._scale = device, device.scalar(0.0), layout.scale
+        self._view, self._image = device.zeros_image((1, *shape), layout.dtype.type), device.zeros_image(shape)
+        self._limits = device.zeros((2, channels))
+        self._differences, self._limited, self._grain = (device.zeros((height - 4, width - 4)) for _ in range(3))
+
+    def __call__(self, lf: LightField, window: tuple[slice, slice], least: float, shown: Shown | None) -> float:
+        kernels, reference = self._device.kernels, lf.reference_index
+        load_window(lf, [reference], *window, self._device, shown, views_out=self._view)
+        valid = None if lf.valid is None else self._device.field(lf.valid[reference][window][None])
+        kernels.intensities(self._view, 0, valid, scale=self._scale, fill=math.nan, image_out=self._image)
+        view = lf.views[reference][window]
+        rows = view.reshape(len(view), -1)  # whole rows, as few channels are slow to compare
+        limits = [end(end(rows, 0).reshape(view.shape[1:]), 0) for end in (np.min, np.max)]
+        kernels.upload(np.stack(limits) * np.float32(self._scale), self._limits)
+        kernels.window_grain(
+            self._image,
+            self._limits,
+            least=least,
+            differences_out=self._differences,
+            limited_out=self._limited,
+            grain_out=self._grain,
+        )
+        kernels.quantile(self._grain, _GRAIN_SHARE, quantile_out=self._found)
+        return kernels.number(self._found)
 
 
 def of_given_noise(noise: float, config: SweepConfig) -> tuple[float, float]:
@@ -89,6 +114,7 @@ def measured_noise(
     device: Device,
     *,
     deviation: float | None = None,
+    shown: Shown | None = None,
 ) -> float:
     """Measure the root mean square difference between views that agree, intensity.
 
@@ -96,29 +122,51 @@ def measured_noise(
     they vary most: pixels without texture agree at all disparities. Smoothing, if any, averages differences of
     `deviation`.
     """
-    kernels = device.kernels
-    lf = lf.crop(*(slice(max(0, (side - _SAMPLE) // 2), (side + _SAMPLE) // 2) for side in lf.size))
-    lf = lf.subset(used_views(lf.offsets, "cross"))
-    layout = lf.layout
-    frame = Frame(
-        Arena(device),
-        ChosenViews(None, layout, None, layout),
-        bounds,
-        config,
-        deviation=deviation,
+    chosen, window = used_views(lf.offsets, "cross"), _middle(lf, _SAMPLE)
+    layout = lf.layout.subset(chosen).crop(*window)
+    numbers = None if device.is_gpu and device.kernels.changing else (bounds, deviation)  # which cannot change then
+    compared = compared_disparities(bounds, layout.farthest, config.sweep)
+    sweep = device.kept(
+        "noise",
+        (config, compared.slices, compared.step, deviation is None, layout.shape, numbers),
+        lambda: _FirstSweep(device, layout, bounds, config, deviation),
     )
-    views = frame.swept("all")
-    cost, volume = PlaneSweepCost(views, first_cost(config)), device.zeros((frame.disparities.slices, *lf.size))
-    frame.load(device.image(lf.views))
-    views.load()
-    cost.by_view_sets(volume)
-    least, negative = (device.zeros(lf.size) for _ in range(2))
-    kernels.least_costs(volume, least_out=least)
-    kernels.axpby(-1.0, volume, 0.0, volume, volume)
-    kernels.least_costs(volume, least_out=negative)
-    costs = kernels.numpy(least)
-    spread = -kernels.numpy(negative) - costs
-    return float(np.median(costs[spread >= np.median(spread)]))
+    load_window(lf, chosen, *window, device, shown, views_out=sweep.views)
+    return sweep(bounds, config, deviation)
+
+
+class _FirstSweep:
+    """A sweep whose least costs are the noise, with its memory."""
+
+    def __init__(
+        self,
+        device: Device,
+        layout: ViewLayout,
+        bounds: tuple[float, float],
+        config: MatchingConfig,
+        deviation: float | None,
+    ) -> None:
+        arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout)
+        self._frame = Frame(arena, chosen, bounds, config, deviation=deviation, multiple=1)
+        self._swept, self._kernels = self._frame.swept("all"), device.kernels
+        self._cost = PlaneSweepCost(self._swept, first_cost(config))
+        self.views = device.zeros_image(layout.shape, layout.dtype.type)
+        """The views [n, y, x, c] that it compares; whoever calls it writes them."""
+        self._volume = device.zeros((self._frame.disparities.slices, *layout.size))
+        self._least, self._spread = (device.zeros(layout.size) for _ in range(2))
+        self._typical = Typical(device)
+
+    def __call__(self, bounds: tuple[float, float], config: MatchingConfig, deviation: float | None) -> float:
+        kernels, volume, least, spread = self._kernels, self._volume, self._least, self._spread
+        self._frame.follow(bounds, config, deviation=deviation)
+        self._frame.load(self.views)
+        self._swept.load()
+        self._cost.by_view_sets(volume)
+        kernels.least_costs(volume, least_out=least)
+        kernels.axpby(-1.0, volume, 0.0, volume, volume)
+        kernels.least_costs(volume, least_out=spread)
+        kernels.axpby(-1.0, spread, -1.0, least, spread)
+        return kernels.number(self._typical(least, spread))
 
 
 def noise_of_views(noise: float, grain: float | None, config: SweepConfig) -> float:

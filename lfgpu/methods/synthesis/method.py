@@ -9,7 +9,7 @@ from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.footprint import Footprint
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.noise import measured_noise
-from lfgpu.methods.measured import Measured, Seen, checked_range
+from lfgpu.methods.measured import Measured, Shown, checked_range
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.plan import SynthesisPlan, spread
 
@@ -43,12 +43,12 @@ class Synthesis(Method[SynthesisConfig]):
         return self.config.propagation.solver == "cg" and self.config.refinement.solver == "lbfgs"
 
     def measured(
-        self, lf: LightField, bounds: tuple[float, float], device: Device, *, seen: Seen | None = None
+        self, lf: LightField, bounds: tuple[float, float], device: Device, *, shown: Shown | None = None
     ) -> Measured:
         unit = self.config.prior.sigma_unit
         return Measured(
             bounds,
-            noise=measured_noise(lf, bounds, _NOISE_SWEEP, device) if unit == "noise" else None,
+            noise=measured_noise(lf, bounds, _NOISE_SWEEP, device, shown=shown) if unit == "noise" else None,
             spread=spread(lf, self.config.prior.patch) if unit == "image" else None,
         )
 
