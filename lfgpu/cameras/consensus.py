@@ -11,7 +11,9 @@ _DEPENDENT = 1e-12  # of the largest singular value: less is no direction
 _TREND = 6  # parameters of the trend
 _ALIKE = 8  # views that are compared with each other, those about as far from the reference
 _FACTOR = 6.0  # times the usual distance: what lies further stands out
-_MANY = 25  # views from which a smooth trend over the array is taken out before outliers are looked for
+
+MANY = 25
+"""Views from which a smooth trend over the array is taken out before outliers are looked for."""
 
 
 def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
@@ -52,7 +54,7 @@ def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, 
     """
     rest = smooth_rest(values, offsets)
     usual = np.full(len(rest), 1.4826 * np.median(np.abs(rest)))
-    if len(values) >= _MANY:
+    if len(values) >= MANY:
         distance = np.hypot(*offsets.T)
         alike = np.argsort(np.abs(distance[:, None] - distance), axis=1, kind="stable")[:, :_ALIKE]
         usual = np.maximum(usual, 1.4826 * np.median(np.abs(rest)[alike], axis=(1, 2)))
@@ -61,14 +63,14 @@ def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, 
     return np.asarray(size > least)
 
 
-def smooth_rest(values: Float64Array, offsets: Float64Array) -> Float64Array:
+def smooth_rest(values: Float64Array, offsets: Float64Array, rounds: int = _ROUNDS) -> Float64Array:
     """Remove a trend from values [n, k]: a polynomial of degree 2 in the offsets if there are many views, else the
-    median."""
-    if len(values) < _MANY:
+    median. After few `rounds` it still gives way to views that stand out."""
+    if len(values) < MANY:
         return values - np.median(values, axis=0)
     u, v = (offsets / max(float(np.abs(offsets).max()), 1e-9)).T
     basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-    return _robust_rest(basis, values)
+    return _robust_rest(basis, values, rounds)
 
 
 def usual_rest(rest: Float64Array) -> float:
@@ -76,16 +78,16 @@ def usual_rest(rest: Float64Array) -> float:
 
     A fit of least absolute deviations passes through as many values as it has parameters; these do not count.
     """
-    through = rest.shape[1] * (_TREND if len(rest) >= _MANY else 1)
+    through = rest.shape[1] * (_TREND if len(rest) >= MANY else 1)
     return 1.4826 * float(np.median(np.sort(np.abs(rest), axis=None)[through:]))
 
 
-def _robust_rest(basis: Float64Array, values: Float64Array) -> Float64Array:
+def _robust_rest(basis: Float64Array, values: Float64Array, rounds: int = _ROUNDS) -> Float64Array:
     """Remove from each column of values [n, k] its fit of least absolute deviations by columns of a basis."""
     left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
     columns = left[:, sizes > _DEPENDENT * sizes[0]]  # cameras in one line tell nothing of the other axis
     rest, weight = values, np.ones_like(values)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         weighted = columns.T * weight.T[:, None]
         found = np.linalg.solve(weighted @ columns, weighted @ values.T[..., None])
         rest = values - (columns @ found[..., 0].T)

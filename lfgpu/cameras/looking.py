@@ -96,11 +96,11 @@ def look(
         return _look_without_map(lf, device)
     if in_part:
         lf, window = part_of(lf, views=_VIEWS, pixels=_PIXELS, among=seen)
-        disparity = disparity[window]
-    elif seen is not None:
-        lf = lf.subset(seen)
-    if budget == "screen" and not worth_a_look(lf, disparity):
+        disparity, seen = disparity[window], None
+    if budget == "screen" and not worth_a_look(lf, disparity, seen):
         return None
+    if seen is not None:
+        lf = lf.subset(seen)
     effort = _EFFORTS[budget]
     with device.asking():
         most = min(effort.points, most_points(len(lf.views), 6))

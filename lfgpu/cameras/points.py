@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
@@ -18,6 +19,8 @@ _TOLERANCE = 1.2  # pixels in the farthest view: a surface that is nearer by les
 _TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
 _LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
 _EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
+_LEAST_STEP, _PLACES = 2, 128  # pixels between windows, at least; windows along the longer side, at most
+_WINDOW = 6  # pixels: side of a window
 _BLOCK = 16  # pixels: side of the blocks in which nearer surfaces are looked for first
 _AT_ONCE = 16  # views whose visibility is computed together
 
@@ -80,31 +83,48 @@ def on_surfaces(
 def some_on_surfaces(
     lf: LightField, disparity: NDArray[np.floating], most: int
 ) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]:
-    """Choose points as `on_surfaces` does, on every other row and column only: the map, rows, columns."""
-    known, image = known_pixels(lf, disparity), grey(lf, lf.reference_index)
-    far = float(np.nanmin(disparity)) if known.any() else 0.0
-    map_ = np.where(known, disparity, far).astype(np.float32)
-    height, width = (side // 2 * 2 for side in lf.size)
+    """Choose points amid windows of 6 x 6 pixels on smooth surfaces: the map, NaN where it is unknown, rows, columns.
 
-    def of_four(join: np.ufunc, values: NDArray[Any]) -> NDArray[Any]:
-        """Join each 2 x 2 pixels."""
-        return reduce(join, (values[i:height:2, j:width:2] for i, j in np.ndindex(2, 2)))
+    At most about `_PLACES` such windows along each side are looked at.
+    """
+    map_, image = disparity.astype(np.float32, copy=False), grey(lf, lf.reference_index)
+    if lf.valid is not None:
+        map_ = np.where(lf.valid[lf.reference_index], map_, np.float32(np.nan))
+    step = max(_LEAST_STEP, -(-max(lf.size) // _PLACES))
 
-    spread = window_max(of_four(np.maximum, map_), 3) - window_min(of_four(np.minimum, map_), 3)
-    usable = eroded(of_four(np.logical_and, known), 2) & (spread <= _EDGE / farthest(lf))
-    halved = np.asarray(of_four(np.add, image) / 8, np.float32)  # so that gradients are per pixel of the whole image
-    y, x, _ = textured(halved, usable, most)
-    return map_, 2 * y, 2 * x
+    def of_windows(join: np.ufunc, values: NDArray[Any], *taken: Sequence[int]) -> NDArray[Any]:
+        """Join some rows of each window, and some columns."""
+        for places in taken:
+            count = max(0, (len(values) - _WINDOW) // step + 1)
+            values = reduce(join, (values[k::step][:count] for k in places)).T
+        return values
+
+    whole, low, high = range(_WINDOW), (1, 2), (3, 4)
+    spread = of_windows(np.maximum, map_, whole, whole) - of_windows(np.minimum, map_, whole, whole)
+    middle = (*low, *high)
+    across = of_windows(np.add, image, middle, high) - of_windows(np.add, image, middle, low)
+    down = of_windows(np.add, image, high, middle) - of_windows(np.add, image, low, middle)
+    y, x, _ = strongest(np.hypot(across, down) / 16, spread <= _EDGE / farthest(lf), most)
+    return map_, step * y + _WINDOW // 2 - 1, step * x + _WINDOW // 2 - 1
 
 
 def textured(
     image: NDArray[np.float32], usable: NDArray[np.bool_], most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Choose up to `most` usable pixels [y, x] of an image where it has texture: rows, columns, tiles."""
-    strength = gradient_size(image)
-    side = max(image.shape) / _TILES
+    return strongest(gradient_size(image), usable, most, every=3)  # neighbours tell the same
+
+
+def strongest(
+    strength: NDArray[np.float32], usable: NDArray[np.bool_], most: int, *, every: int = 1
+) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    """Choose up to `most` usable pixels [y, x] by the strength of their gradients: rows, columns, tiles.
+
+    Of the strongest of each part, only one in `every` is chosen.
+    """
+    side = max(strength.shape) / _TILES
     rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
-    row, column = ((np.arange(size) / side).astype(np.uint64) for size in image.shape)
+    row, column = ((np.arange(size) / side).astype(np.uint64) for size in strength.shape)
     tiles = row[rows] * np.uint64(_TILES) + column[columns]
     # By tile, and the strongest first: positive numbers are in the order of their bits. The last bits are the place.
     room = np.uint64(max(25, len(rows).bit_length()))
@@ -115,8 +135,7 @@ def textured(
     starts = np.flatnonzero(np.diff(tiles, prepend=-1))
     share = max(1, most // max(1, len(starts)))
     rank = np.arange(len(order)) - np.repeat(starts, np.diff([*starts, len(order)]))
-    # Of each part every third of the strongest three times as many: neighbours tell the same.
-    kept = slice(None) if len(order) <= most else (rank < 3 * share) & (rank % 3 == 0)
+    kept = slice(None) if len(order) <= most else (rank < every * share) & (rank % every == 0)
     order = order[kept]
     return rows[order], columns[order], tiles[kept]
 
@@ -131,27 +150,29 @@ def hidden(
     (height, width), least = lf.size, _TOLERANCE / farthest(lf)
     covered = np.zeros((len(index), len(x)), np.bool_)
     d = map_[y, x].astype(np.float64)
-    distance, nearest = np.maximum(np.hypot(*lf.offsets[index].T), 1e-9), float(map_.max())
+    distance, nearest = np.maximum(np.hypot(*lf.offsets[index].T), 1e-9), float(np.nanmax(map_))
     reach = int(np.ceil((nearest - float(d.min())) * distance.max())) + 1
     behind = np.flatnonzero(_nearest_around(map_, reach)[y // _BLOCK, x // _BLOCK] - d >= least)
     if not len(behind):
         return covered
-    d, y, x = d[behind], y[behind], x[behind]
-    far = distance[:, None, None]
-    steps = np.arange(1, int(np.ceil((nearest - float(d.min())) * distance.max())) + 1)[:, None] / far
-    du, dv = lf.offsets[index].T[..., None, None]
-    rows = np.rint(y + steps * dv).astype(np.intp).clip(-1, height) + 1
-    columns = np.rint(x + steps * du).astype(np.intp).clip(-1, width) + 1
-    nearer = np.pad(map_, 1, constant_values=np.nan).take(rows * (width + 2) + columns) - d
-    found = (nearer >= np.maximum(steps - 0.7 / far, least)) & (nearer <= steps + 0.7 / far)
-    covered[:, behind] = found.any(1)
+    disparity, down, across = (values[behind].astype(np.float32) for values in (d, y, x))
+    # The places beside each point, one after the other by view.
+    count = 1 + ((nearest - float(disparity.min())) * distance).astype(np.intp)
+    first, view = np.cumsum(count) - count, np.repeat(np.arange(len(index)), count)
+    far = distance[view]
+    steps = (1 + np.arange(len(view)) - first[view]) / far
+    right, below = (steps * lf.offsets[index][view].T).astype(np.float32)[..., None]
+    rows, columns = np.rint(down + below).astype(np.int32), np.rint(across + right).astype(np.int32)
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    nearer = map_.take(rows * width + columns, mode="clip") - disparity
+    low, high = np.maximum(steps - 0.7 / far, least), steps + 0.7 / far
+    found = inside & (nearer >= low[:, None]) & (nearer <= high[:, None])
+    covered[:, behind] = np.logical_or.reduceat(found, first)
     return covered
 
 
 def _nearest_around(map_: NDArray[np.float32], reach: int) -> NDArray[np.float32]:
     """Find the largest disparity around each block of a map, at least as far as `reach` pixels: one for each block."""
-    height, width = (-(-side // _BLOCK) for side in map_.shape)
-    padded = np.pad(map_, [(0, -side % _BLOCK) for side in map_.shape], mode="edge")
-    rows = padded.reshape(height, _BLOCK, -1).max(1)  # one axis after the other takes a quarter of the time
-    largest = rows.reshape(height, width, _BLOCK).max(2)
-    return window_max(largest, 2 * (reach // _BLOCK + 1) + 1)
+    rows = [np.fmax.reduce(map_[first : first + _BLOCK]) for first in range(0, map_.shape[0], _BLOCK)]
+    largest = np.fmax.reduceat(rows, np.arange(0, map_.shape[1], _BLOCK), axis=1)
+    return window_max(np.fmax(largest, np.float32(-np.inf)), 2 * (reach // _BLOCK + 1) + 1)

@@ -41,7 +41,6 @@ _SURELY = 2.5  # and by how many standard errors, over parts of the picture
 _GAP = 2.0  # pixels in the farthest view: a surface that is nearer by more hides those behind it
 _DIFFERENT = 0.03  # intensity: colours that can be told apart
 _MOST = 0.1  # intensity: larger differences count as much
-_BAND = 24  # rows of a band, from which few pixels land beside those of others
 _PARTS = 12  # along the longer side: pixels of one part are of one outline
 
 
@@ -110,48 +109,54 @@ class Order:
     far: Float64Array
 
 
-def order_of_depth(lf: LightField, disparity: NDArray[np.floating], *, views: int, part: int = 1) -> Order:
+def order_of_depth(
+    lf: LightField,
+    disparity: NDArray[np.floating],
+    *,
+    views: int,
+    rows: slice = slice(None),
+    seen: NDArray[np.intp] | None = None,
+) -> Order:
     """Compare the views that are farthest from the reference with its map [y, x], NaN where it is unknown.
 
-    Only one in `part` bands of rows is compared.
+    They are some of `seen`, by default of all views. Only some `rows` of the map are compared.
     """
-    bands = np.arange(lf.size[0]) // _BAND % part == part // 2
-    known = known_pixels(lf, disparity) & bands[:, None]
-    distance = np.hypot(*lf.offsets.T)
-    map_, (height, width) = disparity.astype(np.float32, copy=False).ravel(), lf.size
-    order = np.flatnonzero(known)
-    image = np.zeros(height * width, np.float32)
-    image[order] = grey_at(lf, lf.reference_index, order)
+    seen = np.arange(len(lf.views)) if seen is None else seen
+    distance, (height, width) = np.hypot(*lf.offsets[seen].T), lf.size
+    order = np.arange(height * width, dtype=np.int32).reshape(height, width)[rows][known_pixels(lf, disparity)[rows]]
+    map_ = disparity.astype(np.float32, copy=False).ravel()
     # The farthest first: with all bits but the sign turned where it is set, floats are in the order of integers.
     bits = map_[order].view(np.int32)
     keys = np.sort((bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) << 32 | order)
     order = (keys & 0xFFFFFFFF).astype(np.int32)
-    d, (rows, columns) = map_[order], np.divmod(order, np.int32(width))
+    d, (row, column) = map_[order], (at.astype(np.float32) for at in np.divmod(order, np.int32(width)))
+    image = grey_at(lf, lf.reference_index, order)
+    front, back = np.empty(height * width, np.int32), np.empty(height * width, np.int32)
     side = max(lf.size) / _PARTS
     told, near, far = 0, np.zeros(_PARTS**2), np.zeros(_PARTS**2)
-    for n in np.argsort(-distance, kind="stable")[:views]:
-        du, dv = lf.offsets[n]
-        x, y = np.rint(columns - d * du).astype(np.int32), np.rint(rows - d * dv).astype(np.int32)
+    for n in seen[np.argsort(-distance, kind="stable")[:views]]:
+        du, dv = lf.offsets[n].tolist()
+        x, y = np.rint(column - d * du).astype(np.int32), np.rint(row - d * dv).astype(np.int32)
         inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
         if lf.valid is not None:
             inside[inside] = lf.valid[n][y[inside], x[inside]]
-        landed, place = order[inside], y[inside] * np.int32(width) + x[inside]
-        front, back = np.full(height * width, -1, np.int32), np.full(height * width, -1, np.int32)
+        landed = np.flatnonzero(inside)
+        place = y[landed] * np.int32(width) + x[landed]
         front[place], back[place[::-1]] = landed, landed[::-1]  # the last one stays
-        there = np.flatnonzero(front >= 0)
-        if not len(there):
+        on_top = front[place] == landed
+        landed, place = landed[on_top], place[on_top]
+        if not len(place):
             continue
         # How bright the whole view is does not say what hides what.
-        brighter = float(image[front[there]].mean()) / max(float(grey_at(lf, int(n), there).mean()), 1e-6)
-        both = there[front[there] != back[there]]
-        front, back = front[both], back[both]
-        apart = (map_[front] - map_[back] > _GAP / distance.max()) & (np.abs(image[front] - image[back]) > _DIFFERENT)
-        front, back, shown = front[apart], back[apart], brighter * grey_at(lf, int(n), both[apart])
-        row, column = np.divmod(front, width)
-        place = (row / side).astype(np.intp) * _PARTS + (column / side).astype(np.intp)
+        shown = grey_at(lf, int(n), place)
+        shown *= float(image[landed].mean()) / max(float(shown.mean()), 1e-6)
+        behind = back[place]
+        apart = (d[landed] - d[behind] > _GAP / distance.max()) & (np.abs(image[landed] - image[behind]) > _DIFFERENT)
+        landed, behind, shown = landed[apart], behind[apart], shown[apart]
+        place = (row[landed] / side).astype(np.intp) * _PARTS + (column[landed] / side).astype(np.intp)
         told += len(place)
-        for loss, seen in ((near, front), (far, back)):
-            loss += np.bincount(place, np.minimum(np.abs(shown - image[seen]), _MOST), len(loss))
+        for loss, surface in ((near, landed), (far, behind)):
+            loss += np.bincount(place, np.minimum(np.abs(shown - image[surface]), _MOST), len(loss))
     some = near + far > 0
     return Order(told, near[some], far[some])
 

@@ -19,13 +19,13 @@ def grey(lf: LightField, index: int) -> NDArray[np.float32]:
     return _grey(lf.views[index], lf.scale)
 
 
-def grey_at(lf: LightField, index: int, pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+def grey_at(lf: LightField, index: int, pixels: NDArray[np.integer]) -> NDArray[np.float32]:
     """Average the colours of some pixels of a view, given by their places row by row: float32 [p] in [0, 1]."""
     return _grey(lf.views[index].reshape(-1, lf.channels).take(pixels, axis=0), lf.scale)
 
 
 class Surface:
-    """Cubic B-spline surface over a picture [y, x, c], or several [n, y, x, c], with the pixels as coefficients.
+    """Cubic B-spline surface over a picture [y, x, c], with the pixels as coefficients.
 
     The spline smooths by 0.58 px. An interpolating spline would not do: its noise is weaker halfway between pixels than
     on them, so the sum of squares is least where views are looked up halfway, and noisy views drift there by up to 0.1
@@ -33,24 +33,19 @@ class Surface:
     """
 
     def __init__(self, picture: NDArray[Any], scale: float = 1.0) -> None:
-        self._pictures, self._scale = picture if picture.ndim == 4 else picture[None], scale
-        self._size = size = self._pictures.shape[1:3]
+        self._picture, self._scale, self._size = picture, scale, picture.shape[:2]
+        size = self._size
         mode = "reflect" if min(size) > _BEYOND else "edge"
         self._rows, self._columns = (np.pad(np.arange(side), _BEYOND, mode=mode) for side in size)  # type: ignore[call-overload]
 
-    def __call__(
-        self, x: Float64Array, y: Float64Array, index: NDArray[np.intp] | int = 0
-    ) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Look up the mean of the colours: value and derivatives by x and y at places [p], moved into the frame.
-
-        `index` [p] says in which of several pictures.
-        """
+    def __call__(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Look up the mean of the colours: value and derivatives by x and y at places [p], moved into the frame."""
         height, width = self._size
         x0, wx, sx = _spline_weights(np.clip(x, 0, width - 1))
         y0, wy, sy = _spline_weights(np.clip(y, 0, height - 1))
         taps = np.arange(_BEYOND - 1, _BEYOND + 3)[:, None]
         rows, columns = self._rows[y0 + taps], self._columns[x0 + taps]
-        shown = _grey(_pixels(self._pictures, index, rows[:, None], columns[None]), self._scale)
+        shown = _grey(_pixels(self._picture, rows[:, None], columns[None]), self._scale)
         value, by_x, by_y = (np.zeros(len(x)) for _ in range(3))
         for j in range(4):
             row, slope = np.zeros(len(x)), np.zeros(len(x))
@@ -61,6 +56,12 @@ class Surface:
             by_x += slope * wy[j]
             by_y += row * sy[j]
         return value, by_x, by_y
+
+
+def spline_mean(pixels: NDArray[Any], down: Float64Array, across: Float64Array, scale: float) -> Float64Array:
+    """Average 4 x 4 pixels [..., 4, 4, c] as `Surface` does, so far past the second of each axis: float64 [...]."""
+    y, x = (np.stack(_weights(past.astype(np.float32)), -1) for past in (down, across))
+    return np.einsum("...ji,...j,...i->...", _grey(pixels, scale), y, x).astype(np.float64)
 
 
 def patches(
@@ -79,14 +80,11 @@ def patches(
     return found.reshape(len(x), -1)
 
 
-def _pixels(
-    pictures: NDArray[Any], index: NDArray[np.intp] | int, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> NDArray[Any]:
-    """Read pixels of pictures [n, y, x, c]; of pictures whose pixels lie in a row that is four times as fast."""
-    if not pictures.flags.c_contiguous:
-        return np.asarray(pictures[index, rows, columns])
-    height, width, channels = pictures.shape[1:]
-    return pictures.reshape(-1, channels).take((index * height + rows) * width + columns, axis=0)
+def _pixels(picture: NDArray[Any], rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[Any]:
+    """Read pixels of a picture [y, x, c]; of one whose pixels lie in a row that is four times as fast."""
+    if not picture.flags.c_contiguous:
+        return np.asarray(picture[rows, columns])
+    return picture.reshape(-1, picture.shape[2]).take(rows * picture.shape[1] + columns, axis=0)
 
 
 def _grey(picture: NDArray[Any], scale: float) -> NDArray[np.float32]:
@@ -98,9 +96,13 @@ def _spline_weights(at: Float64Array) -> tuple[NDArray[np.intp], list[Float64Arr
     whole = np.floor(at).astype(np.intp)
     t = at - whole
     s = 1 - t
-    weights = [s**3 / 6, 2 / 3 - t * t * (1 - t / 2), 2 / 3 - s * s * (1 - s / 2), t**3 / 6]
-    slopes = [-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2]
-    return whole, weights, slopes
+    return whole, _weights(t), [-s * s / 2, t * (1.5 * t - 2), s * (2 - 1.5 * s), t * t / 2]
+
+
+def _weights(t: NDArray[Any]) -> list[NDArray[Any]]:
+    """Weights in the cubic B-spline of the four taps around a place that lies `t` past the second one."""
+    s = 1 - t
+    return [s * s * s / 6, 2 / 3 - t * t * (1 - t / 2), 2 / 3 - s * s * (1 - s / 2), t * t * t / 6]
 
 
 LABELS = 65

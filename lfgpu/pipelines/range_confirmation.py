@@ -60,10 +60,10 @@ def confirm(
 
 def _at_ends(bounds: tuple[float, float], matched: Float32Array) -> list[tuple[float, float]]:
     """Measure the share of the pixels at the low and at the high end of a range, and of those beside, on average."""
-    known, (low, high) = matched[np.isfinite(matched)], bounds
+    (low, high), known = bounds, max(1, int(np.count_nonzero(np.isfinite(matched))))
     close = _MARGIN * (high - low)
     found = []
-    for distance in (known - low, high - known):
+    for distance in (matched - low, high - matched):  # where it is unknown it is within nothing
         at_end, both = (int(np.count_nonzero(distance <= times * close)) for times in (1, 1 + _BESIDE))
-        found.append((at_end / max(1, known.size), (both - at_end) / _BESIDE / max(1, known.size)))
+        found.append((at_end / known, (both - at_end) / _BESIDE / known))
     return found

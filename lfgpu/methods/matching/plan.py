@@ -97,7 +97,7 @@ class MatchingPlan:
         """Copy the map after each stage, or some, to the host, float32 [y, x] by name, NaN where it is undefined."""
         again = {"resweep": self._matched} if self._sweeps.are_several else {}
         kept = {"sweep": self._swept, **again, "align": self._aligned, "boundaries": self.disparity}
-        found = {name: self._kernels.numpy(kept[name]).astype(np.float32) for name in stages or kept}
+        found = {name: self._kernels.numpy(kept[name]).astype(np.float32, copy=False) for name in stages or kept}
         return {name: self._frame.known.on_host(map_) for name, map_ in found.items()}
 
     def solution(self) -> Solution:
