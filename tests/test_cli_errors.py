@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from command_line import RANGE, holes, lfgpu, refused
+from command_line import OUTPUTS, RANGE, holes, lfgpu, refused
 
 from lfgpu import list_backends, scenes
 from lfgpu.config import Config, Section, number, parameters
@@ -108,8 +108,16 @@ def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(where, raising(KeyboardInterrupt()))
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; outputs are whole or not there", code=130)
     assert not list(tmp_path.iterdir())
+
+
+def test_an_interruption_after_writing_does_not_say_that_nothing_was_written(
+    recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("lfgpu.cli.console.output", raising(KeyboardInterrupt()))
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; outputs are whole or not there", code=130)
+    assert {path.name for path in out.iterdir()} == OUTPUTS
 
 
 class Dropping:
@@ -127,7 +135,7 @@ def test_an_interruption_that_comes_in_a_destructor_comes_again(
         raise LightFieldError("it did not come.")
 
     monkeypatch.setattr("lfgpu.io.read", read)
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; outputs are whole or not there", code=130)
 
 
 def test_what_fails_after_an_interruption_is_not_its_cause(
@@ -140,7 +148,7 @@ def test_what_fails_after_an_interruption_is_not_its_cause(
             raise LightFieldError("a.png is truncated.")
 
     monkeypatch.setattr("lfgpu.io.read", read)
-    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; nothing was written", code=130)
+    refused(lfgpu("depth", recorded, "-o", out, *RANGE), "interrupted; outputs are whole or not there", code=130)
 
 
 @pytest.mark.parametrize(

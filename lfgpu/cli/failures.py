@@ -18,7 +18,7 @@ from lfgpu.errors import LfgpuError
 from lfgpu.printable import message, printable
 
 _FAILED, _INTERRUPTED = 1, 130  # 130: the exit code of shells after Ctrl-C
-_INTERRUPTION = "interrupted; nothing was written."
+_INTERRUPTION = "interrupted; outputs are whole or not there."
 _MEMORY = "out of memory; use fewer views (--views cross) or smaller ones."
 _DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross) or --device cpu."
 
