@@ -7,6 +7,7 @@ import typer
 
 from lfgpu.cli import values
 from lfgpu.errors import LightFieldError
+from lfgpu.printable import printable
 
 
 def convert(
@@ -54,4 +55,4 @@ def convert(
         u, v = found.position
         image = lf.view(v, u)
     save(found, out, image=image)
-    typer.echo(f"Wrote {out}.")
+    typer.echo(printable(f"Wrote {out}."))

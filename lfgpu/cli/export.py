@@ -8,6 +8,7 @@ import typer
 
 from lfgpu.cli import values
 from lfgpu.cli.options import Cold, DisparityRange, OutFolder, Parameters, ReadingIncomplete
+from lfgpu.printable import printable
 
 
 @dataclass(frozen=True)
@@ -56,4 +57,6 @@ def export(
     if rectifier is not None:
         lf = rectifier.pictures(lf.views, white=lf.white)
     export_pipeline(lf, out, config=config, disparity_range=bounds, device=device, prior=prior, rectifier=rectifier)
-    typer.echo(f"Wrote the pipeline and its C++ library to {out}; README.txt there says how to build and run it.")
+    typer.echo(
+        printable(f"Wrote the pipeline and its C++ library to {out}; README.txt there says how to build and run it.")
+    )

@@ -10,6 +10,7 @@ import typer
 from lfgpu.cli import values
 from lfgpu.cli.options import Computing, Preset, Quiet, ReadingIncomplete, Source
 from lfgpu.errors import LightFieldError
+from lfgpu.printable import printable
 
 _SWEEPS = ("circle", "across", "down", "focus")
 
@@ -91,4 +92,4 @@ def render(
     else:
         write_image(rendering.picture(place, focus), out, dtype=dtype)
     if not quiet:
-        typer.echo(f"Wrote {out}.")
+        typer.echo(printable(f"Wrote {out}."))

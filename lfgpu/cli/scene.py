@@ -10,6 +10,7 @@ import typer
 from lfgpu.cli import values
 from lfgpu.cli.options import OutFolder
 from lfgpu.errors import LightFieldError
+from lfgpu.printable import printable
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,13 +65,15 @@ def scene(
         if frames is not None:
             raise LightFieldError("--misalign is for one light field; leave it or --frames out.")
         _write_misaligned(name, misalign, options, out)
-        typer.echo(f"Wrote {name}, misaligned, with its exact disparity and two calibrations to {out}.")
+        typer.echo(printable(f"Wrote {name}, misaligned, with its exact disparity and two calibrations to {out}."))
     elif frames is None:
         write_hci(make(name, **options), out)
-        typer.echo(f"Wrote {name} with its exact disparity to {out}.")
+        typer.echo(printable(f"Wrote {name} with its exact disparity to {out}."))
     else:
         _write_frames(sequence(name, frames=frames, **options), out)
-        typer.echo(f"Wrote {frames} frames of {name} with their exact disparities to {out}/{_FRAME}000 and so on.")
+        typer.echo(
+            printable(f"Wrote {frames} frames of {name} with their exact disparities to {out}/{_FRAME}000 and so on.")
+        )
 
 
 def _write_frames(light_fields: Iterator[LightField], out: Path) -> None:

@@ -213,3 +213,13 @@ def test_escape_sequences_in_names_do_not_reach_the_terminal(tmp_path: Path) -> 
         assert "\x1b" not in done.output
         assert "\x07" not in done.output
         assert r"\x1b[2J" in done.output
+
+
+def test_nor_do_those_in_names_of_outputs(tmp_path: Path) -> None:
+    write_pfm(tmp_path / "map.pfm", np.zeros((20, 24), np.float32))
+    out = tmp_path / "a\x1b]0;owned\x07\u202e.png"
+    for command in (["convert", str(tmp_path / "map.pfm")], ["scene", "boxes", "--grid", "3x3", "--size", "40x48"]):
+        done = CliRunner().invoke(app, [*command, "-o", str(out)])
+        assert done.exit_code == 0, done.output
+        assert r"a\x1b]0;owned\x07\u202e" in done.output
+        out = out.with_suffix("")
