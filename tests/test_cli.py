@@ -44,7 +44,7 @@ def test_depth_writes_what_reads_back(solved: tuple[Path, Outcome], scene: Light
     result = read_result(folder / "result.npz")
     assert result.disparity.shape == scene.size
     assert result.disparity_range == (-2, 2)
-    assert result.config == preset("accurate")
+    assert result.config == preset("surest")
     np.testing.assert_array_equal(read_map(folder / "disparity.pfm"), result.disparity)
     assert result.depth is not None
     np.testing.assert_array_equal(read_map(folder / "depth.pfm"), result.depth)

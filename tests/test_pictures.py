@@ -312,7 +312,7 @@ def ratio_beside_them(scene: LightField) -> float:
 
 def test_without_them_the_maps_of_six_scenes_are_right_in_the_mean() -> None:
     made = (scenes.make("relief", grid=(5, 5), size=(OF_A_VIEW, OF_A_VIEW), seed=seed) for seed in range(6))
-    assert np.mean([ratio_beside_them(scene) for scene in made]) < 1.1
+    assert np.mean([ratio_beside_them(scene) for scene in made]) < 1.25
 
 
 @pytest.mark.parametrize("what", ["nothing black", "three corners", "mask given", "one view not", "all black", "few"])

@@ -18,8 +18,9 @@ from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.methods import method_of
+from lfgpu.methods import PRESETS, method_of
 from lfgpu.methods.matching import frame
+from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.methods.recycling import RecyclingDevice
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT, _return_memory, kept_memory, set_kept_memory
@@ -78,10 +79,16 @@ def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, 
         assert len(KEPT._kept) == 1
 
 
-@pytest.mark.parametrize("config", ["fast", "accurate"])
+@pytest.mark.parametrize("config", ["fast", "accurate", "learned", "surest"])
 def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their ranges, numbers of disparities, noises and penalties differ; a capture is faked, as a CPU has none."""
     fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005))]
+    made: list[str] = []
+    replan, kernels = DepthPipeline._replan, load()
+    monkeypatch.setattr(DepthPipeline, "_replan", lambda *given: (made.append("plan"), replan(*given)))
+    monkeypatch.setattr(kernels, "capture", lambda work, device: (made.append("graph"), work)[1])
+    monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))  # so that all stages run as one graph
+    monkeypatch.setitem(frame._ROOM, "gpu", 1)
     alone = []
     for lf in fields:
         KEPT.free()
@@ -90,15 +97,15 @@ def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: p
     assert len(set(ranges)) == len({result.status for result in alone}) == len(fields)
     assert len({round(high - low, 1) for low, high in ranges}) > 1
     KEPT.free()
+    made.clear()
     monkeypatch.setitem(frame._ROOM, "gpu", 64)
-    made: list[str] = []
-    replan, kernels = DepthPipeline._replan, load()
-    monkeypatch.setattr(DepthPipeline, "_replan", lambda *given: (made.append("plan"), replan(*given)))
-    monkeypatch.setattr(kernels, "capture", lambda work, device: (made.append("graph"), work)[1])
-    monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))  # so that all stages run as one graph
     for lf, result in zip((fields[0], *fields), (alone[0], *alone), strict=True):
         assert_equal(lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False), result)
-    assert made == ["plan", "graph"]
+    counts = [0]  # the volumes of a network hold all disparities that it compares, and no others
+    if config in ("learned", "surest"):
+        sweep, farthest = PRESETS[config].sweep, fields[0].layout.farthest
+        counts = [padded_disparities(bounds, farthest, sweep).count for bounds in ranges]
+    assert made == ["plan", "graph"] * (1 + np.count_nonzero(np.diff(counts)))
 
 
 @pytest.mark.parametrize("config", ["fast", "accurate"])

@@ -9,6 +9,7 @@ from lfgpu.contract import CLOSE, COMPARED, DECISIONS, FOLD, LEAST_ODDS
 
 from .memory import pixel_type
 from .threads import launch, launch_rows, once
+from .vector import given, value_of
 
 _LEAST_ODDS, _CLOSE = wp.constant(LEAST_ODDS), wp.constant(CLOSE)
 _Features = wp.types.vector(length=COMPARED, dtype=float)
@@ -48,10 +49,12 @@ def _compare_kernel(stored: Any) -> Any:
         near_1: field,
         wide_1: field,
         farthest: float,
-        span: float,
+        span_given: float,
+        span_there: wp.array(dtype=wp.float64),
         features_out: wp.array3d(dtype=folded),
     ):
         row, column = wp.tid()
+        span = value_of(span_given, span_there)
         result = folded()
         for i in range(wp.static(FOLD)):
             for j in range(wp.static(FOLD)):
@@ -81,11 +84,9 @@ def _compare_kernel(stored: Any) -> Any:
     return compare_kernel
 
 
-def compare_maps(
-    first: Sequence[Any], second: Sequence[Any], *, farthest: float, span: float, features_out: Any
-) -> None:
+def compare_maps(first: Sequence[Any], second: Sequence[Any], *, farthest: float, span: Any, features_out: Any) -> None:
     comparing = _compare_kernel(features_out.dtype._wp_scalar_type_)
-    inputs = [*first, *second, farthest, span]
+    inputs = [*first, *second, farthest, *given(span)]
     launch(comparing, features_out.shape[1:], inputs, [features_out], device=features_out.device)
 
 

@@ -31,7 +31,7 @@ def demo(
     from lfgpu.cli.options import Estimation
     from lfgpu.cli.outputs import write_outputs
     from lfgpu.io import atomic_folder, check_writable, write_hci
-    from lfgpu.methods import preset
+    from lfgpu.methods import configured
     from lfgpu.scenes import make
 
     check_writable(out)
@@ -41,7 +41,7 @@ def demo(
     console.print(f"Making {rows * columns} views of {_SCENE}, seed {seed}, then estimating the depth of one ...")
     console.print("The first estimate on a machine compiles kernels for up to a minute.")
     lf = make(_SCENE, seed=seed, grid=GRID, size=SIZE)
-    result = Estimation(preset("accurate")).run(lf, quiet=False)
+    result = Estimation(configured(None)).run(lf, quiet=False)
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=False)
     scores = summary.show_scores(console, lf, result)

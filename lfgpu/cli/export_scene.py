@@ -23,7 +23,7 @@ def export_scene(
             show_default="maps of all views are estimated first",
         ),
     ] = None,
-    preset: Preset = "accurate",
+    preset: Preset = "surest",
     computing: Computing,
     reading: ReadingIncomplete,
     quiet: Quiet = False,

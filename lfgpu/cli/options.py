@@ -227,7 +227,7 @@ class Parameters:
             "--preset",
             metavar="NAME",
             help="Parameters to start from. {presets}.",
-            show_default="accurate, or learned with --weights",
+            show_default="surest, or learned with --weights",
         ),
     ] = None
     weights: Annotated[

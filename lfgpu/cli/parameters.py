@@ -28,7 +28,7 @@ class Row:
     symbol: str  # its symbol in the paper; "" if it has none
 
 
-def parameters(preset: Preset = "accurate") -> None:
+def parameters(preset: Preset = "surest") -> None:
     """List the parameters that --set changes.
 
     Shows the name, the value in the preset, the range or choices, the meaning, and the symbol in the paper. A terminal

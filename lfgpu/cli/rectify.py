@@ -79,7 +79,7 @@ def rectify(
     check_writable(out)
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
-    estimation = computing.estimation(values.configured("accurate", ()))
+    estimation = computing.estimation(values.configured(None, ()))
     result = cameras.rectify(
         source,
         calibration=calibration,

@@ -56,7 +56,7 @@ def render(
     ] = None,
     frames: Annotated[int, typer.Option(min=2, max=10000, help="Number of frames of a sweep.")] = 30,
     fps: Annotated[float, typer.Option(help="Frames per second of a sweep.")] = 15.0,
-    preset: Preset = "accurate",
+    preset: Preset = "surest",
     computing: Computing,
     reading: ReadingIncomplete,
     quiet: Quiet = False,

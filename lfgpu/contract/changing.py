@@ -20,10 +20,10 @@ class Changing(Protocol):
     """Operations of a backend whose numbers may be scalars, so that captured work goes on with other numbers.
 
     These take a `Scalar` in place of a number: `small` and `large` of `semi_global`, `first` of `winner_takes_all`,
-    `unit` of `evidence`, `span` of `judge`, `contrast` of `edge_weights`, `alignment` and `refine_boundaries`, `robust`
-    of `alignment`, `deviation` of `smooth_views`, `sigma_color` of `nlm_weights`, `floor` of `nlm_ratio`, the bounds of
-    `clamp`, and `SweepCost.softness`, which then is > 0. `winner_takes_all` and `evidence` also take `labels`, the
-    number of the first slices that count.
+    `unit` of `evidence`, `span` of `judge` and `compare_maps`, `contrast` of `edge_weights`, `alignment` and
+    `refine_boundaries`, `robust` of `alignment`, `deviation` of `smooth_views`, `sigma_color` of `nlm_weights`, `floor`
+    of `nlm_ratio`, the bounds of `clamp`, and `SweepCost.softness`, which then is > 0. `winner_takes_all` and
+    `evidence` also take `labels`, the number of the first slices that count.
     """
 
     def numbers(self, count: int, device: str) -> Numbers:

@@ -41,7 +41,7 @@ METHODS: dict[str, Entry] = {
             "accurate": "four sweeps, three of them over all views that see a pixel",
             "fast": "two sweeps over the views in the row and column of the reference",
             "learned": "one network, trained on generated light fields, over all views",
-            "surest": "both: each pixel from accurate or learned, whichever is surer of it",
+            "surest": "two sweeps, and the map of learned; a second network chooses at each pixel",
         },
     ),
     "synthesis": Entry(
@@ -58,10 +58,13 @@ METHODS: dict[str, Entry] = {
 """All methods by name. A new method is a package here and a row of this table."""
 
 PRESETS: dict[str, Config] = {name: config for entry in METHODS.values() for name, config in entry.presets.items()}
-"""Complete parameters by name, the default preset first."""
+"""Complete parameters by name."""
 
 PresetName: TypeAlias = Literal["accurate", "fast", "learned", "surest", "paper", "paper-exact"]
 """The names of `PRESETS`, for type checkers."""
+
+DEFAULT: PresetName = "surest"
+"""The preset of an estimate that names none."""
 
 
 def preset(name: str) -> Config:
@@ -83,7 +86,7 @@ def configured(config: Config | str | None, weights: str | os.PathLike[str] | No
     None is the default preset, or "learned" with weights. LightFieldError if `config` has no network for them.
     """
     if config is None:
-        config = "accurate" if weights is None else "learned"
+        config = DEFAULT if weights is None else "learned"
     found = preset(config) if isinstance(config, str) else config
     if not isinstance(found, Config):
         raise LightFieldError(

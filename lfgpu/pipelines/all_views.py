@@ -37,7 +37,7 @@ def estimate_all_views(
     lf: LightField,
     *,
     keys: int = _KEYS,
-    config: Config | PresetName = "accurate",
+    config: Config | PresetName | None = None,
     disparity_range: tuple[float, float] | None = None,
     backend: BackendName = DEFAULT,
     device: str | None = None,

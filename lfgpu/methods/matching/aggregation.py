@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import ClassVar
 
-import numpy as np
-
-from lfgpu.contract import Array
+from lfgpu.contract import Array, Disparities
 from lfgpu.methods.matching.base import Aggregation, Swept
 from lfgpu.methods.matching.costs import noise_cost
 from lfgpu.methods.matching.disparities import padded_disparities
@@ -90,15 +89,21 @@ class Learned(Aggregation):
 
     def __init__(self, views: SweptViews) -> None:
         frame, layout = views.frame, views.layout
-        disparities = padded_disparities(frame.bounds, layout.farthest, frame.config.sweep)
-        self._kernels, self._step = frame.kernels, disparities.step
+
+        def compared(bounds: tuple[float, float]) -> Disparities:
+            return padded_disparities(bounds, layout.farthest, frame.config.sweep)
+
+        planned = compared(frame.bounds)
+        self._kernels, self._step = frame.kernels, planned.step
+        frame.fits.append(lambda bounds: replace(compared(bounds), first=planned.first) == planned)
         self._weights = weights_of(frame.config.weights)
         with frame.arena.scratch() as scratch:
             self._probability, self._deviation = scratch.fields(2, frame.size)
-            self._network = Network(frame.arena, self._weights, layout, disparities.count)
+            self._network = Network(frame.arena, self._weights, layout, planned.count)
         self.image, self.factor = self._network.image, self._network.factor
         views.on_load(lambda *_: self._network.load(*frame.thinned))
-        self._first = frame.arena.constant("first of the network", np.full(frame.size, disparities.first))
+        self._lowest = frame.arena.number(lambda: compared(frame.bounds).first)
+        self._first = frame.arena.field("first of the network", frame.size)
         self.confidence, self.variance = (
             frame.arena.field(f"{name} of the network", frame.size) for name in ("confidence", "variance")
         )
@@ -107,6 +112,7 @@ class Learned(Aggregation):
         """See `Aggregation`."""
         assert self.confidence is not None
         assert self.variance is not None
+        self._kernels.fill(self._lowest, self._first)
         self._network(
             self._first,
             step=self._step,
@@ -133,5 +139,5 @@ AGGREGATIONS: Mapping[str, Callable[[SweptViews], Aggregation]] = {
 }
 """Aggregations by name, each planned for the views of a sweep."""
 
-FOLLOWING = "semi-global, cut at edges", "semi-global"
+FOLLOWING = "semi-global, cut at edges", "semi-global", "learned"
 """Aggregations whose numbers are all the arena's: a plan goes on with another range and noise."""

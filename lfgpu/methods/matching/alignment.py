@@ -29,6 +29,7 @@ class Alignment:
         self._reach = self._tuning.reach * frame.disparities.step
         self._floor = arena.number(lambda: tuning.least_curvature * frame.config.tuning.alignment.robust**2)
         self._stiffness = arena.number(lambda: tuning.stiffness * frame.config.tuning.alignment.robust**2)
+        self._of_matched = arena.number(lambda: (tuning.matched * frame.config.tuning.alignment.robust) ** 2)
         self._last = _Step(frame, frame.layout)
         self._first = self._last
         if frame.compared_layout is not frame.layout:
@@ -100,10 +101,10 @@ class Alignment:
 
     def _weigh_matched(self, variance: Array) -> None:
         """Find the curvature of the log likelihood of the matched map, in units of that of the views."""
-        kernels, tuning, weight = self._kernels, self._tuning, self._matched_weight
+        kernels, weight = self._kernels, self._matched_weight
         kernels.clamp(variance, (_SUREST / self._farthest) ** 2, np.inf, weight)
         kernels.divide(self._prior.ones, weight, weight)
-        kernels.axpby((tuning.matched * tuning.robust) ** 2, weight, 0.0, weight, weight)
+        kernels.axpby(self._of_matched, weight, 0.0, weight, weight)
 
     def _hold(self, matched: Array, map_: Array) -> None:
         """Add the matched map to the curvature and the slope of the views."""

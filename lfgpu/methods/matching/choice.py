@@ -75,7 +75,7 @@ class Choice:
 
     def see(
         self, image: Array, factor: Scalar, first: Sequence[Array], second: Sequence[Array], *, farthest: float,
-        span: float,
+        span: float | Scalar,
     ) -> None:  # fmt: skip
         """Take two maps, as `KernelSet.compare_maps` does, of a reference image [y, x, c] times a factor."""
         self._kernels.fold(image, factor, folded_out=self.image)
@@ -105,8 +105,9 @@ class SecondMap:
     def __init__(self, frame: Frame, sweeps: Sweeps) -> None:
         arena, size = frame.arena, frame.size
         assert sweeps.second is not None
-        self._frame, self._kernels, self._sweeps, self._second = frame, frame.kernels, sweeps, sweeps.second
+        self._kernels, self._sweeps, self._second = frame.kernels, sweeps, sweeps.second
         self._farthest, self._steps = frame.layout.farthest, frame.config.alignment.iterations
+        self._span = arena.number(lambda: frame.bounds[1] - frame.bounds[0])
         self._matched = arena.field("second map, matched", size)
         self.map = arena.field("second map", size)
         """The map of the network [y, x]."""
@@ -152,5 +153,4 @@ class SecondMap:
             for values, mean in zip((own, others), means, strict=True):
                 square_mean(self._kernels, values[0], reach=reach, workspace=self._workspace, means_out=mean)
                 values.append(mean)
-        low, high = self._frame.bounds
-        self.choice.see(network.image, network.factor, own, others, farthest=self._farthest, span=high - low)
+        self.choice.see(network.image, network.factor, own, others, farthest=self._farthest, span=self._span)

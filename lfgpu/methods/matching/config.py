@@ -136,7 +136,12 @@ PRESETS = {
         boundaries=BoundariesConfig(contrast=10.0),
         tuning=tuning.LEARNED,
     ),
-    "surest": MatchingConfig(tuning=tuning.SUREST),
+    "surest": MatchingConfig(
+        sweep=SweepConfig(resweeps=1),
+        alignment=AlignmentConfig(iterations=2),
+        semi_global=SemiGlobalConfig(large_penalty=0.003),
+        tuning=tuning.SUREST,
+    ),
 }
 """`accurate` compares all views, or every other one of large grids, in four sweeps. `fast` compares the reference's row
-and column of views in two sweeps."""
+and column of views in two sweeps. `surest` has the map of two sweeps over such views, and that of `learned`."""

@@ -86,6 +86,8 @@ class Frame:
         """The disparities that sweeps compare."""
         self.moving: list[PlaneSweep] = []
         """The plane sweeps over these."""
+        self.fits: list[Callable[[tuple[float, float]], bool]] = []
+        """Tests of passes: can they go on with other bounds?"""
         self.low, self.high = (arena.number(partial(lambda end: self.bounds[end], end)) for end in (0, 1))
         self.labels: dict[str, Any] = {}
         """The number of the disparities, where volumes may have room for more; see `Changing`."""
@@ -124,6 +126,8 @@ class Frame:
         disparities = compared_disparities(bounds, self.layout.farthest, config.sweep, multiple=multiple)
         fits = 0 <= own.slices - disparities.slices < 2 * multiple - 1  # at most one multiple is wasted
         if disparities.step != own.step or not fits or (deviation is None) != (self._smoothing is None):
+            return False
+        if not all(others_fit(bounds) for others_fit in self.fits):
             return False
         disparities = replace(disparities, room=own.slices)
         self.bounds, self.config, self.disparities, self._smoothing = bounds, config, disparities, deviation

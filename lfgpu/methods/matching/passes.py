@@ -74,7 +74,7 @@ def sweeps_of(config: MatchingConfig) -> tuple[Sweep, ...]:
 
 def follow(table: tuple[Sweep, ...]) -> bool:
     """Tell whether all numbers of a table that depend on noise and range are the arena's (`Arena.number`)."""
-    return all(row.cost in costs.FOLLOWING and row.aggregation in aggregation.FOLLOWING for row in table)
+    return all(row.cost in ("", *costs.FOLLOWING) and row.aggregation in aggregation.FOLLOWING for row in table)
 
 
 class PlannedSweep:

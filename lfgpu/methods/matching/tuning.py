@@ -204,4 +204,4 @@ FAST = MatchingTuning(
     alignment=replace(ACCURATE.alignment, support=0.4),
 )
 LEARNED = MatchingTuning("learned", sweep=replace(ACCURATE.sweep, first_views="all"), passes="learned")
-SUREST = MatchingTuning("surest", passes="both")
+SUREST = replace(FAST, name="surest", alignment=ACCURATE.alignment, passes="both")
