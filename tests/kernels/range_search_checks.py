@@ -77,7 +77,8 @@ def range_search_inputs(case: RangeSearchCase, rng: np.random.Generator) -> Simp
     lines = [[[next(numbers) for _ in side] for side in line] for line in case.lines]
     volume = (rng.integers(0, 64, (len(lines), case.count, *small)) / 64).astype(np.float32)
     volume[rng.uniform(size=volume.shape) < 0.1] = 2.0
-    found = rng.integers(0, 16, (5, *small)) / np.array([8, 16, 16, 64, 64])[:, None, None]
+    volume[:, :, 0, 0] = 2.0
+    found = rng.integers(0, 16, (5, *small)) / np.array([8, 16, 16, 8, 8])[:, None, None]
     return SimpleNamespace(
         views=views,
         chosen=chosen,
@@ -138,10 +139,10 @@ def distinct_minimum(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def agreeing_disparity(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """With the noise of the views, and with one that is unknown."""
+    """With little noise, with much, and with one that is unknown."""
     found, both = [desk.field(values) for values in i.found], {}
-    numbers = {"same": 4.0, "other": 1.5, "neighbors": 3, "first": i.row["first"], "step": i.row["step"]}
-    for noise in (0.0625, np.nan):
+    numbers = {"same": 4.0, "other": 1.5, "neighbors": 2, "first": i.row["first"], "step": i.row["step"]}
+    for noise in (0.0625, 0.5, np.nan):
         out = desk.out(i.small)
         desk.kernels.agreeing_disparity(found, desk.number(noise), least_noise=0.03125, **numbers, disparity_out=out)
         both |= {f"{name} at {noise}": values for name, values in known_and_values(desk, out).items()}

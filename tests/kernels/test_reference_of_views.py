@@ -407,14 +407,15 @@ def test_pixels_agree_as_a_loop_says(rng: np.random.Generator) -> None:
         is_sure = inside and worst[y, x] <= min(4 * noise, 1) and others[y, x] >= 1.5 * noise
         return SEARCH_CASE.first + SEARCH_CASE.step * place[y, x] if is_sure else None
 
-    for (y, x), (name, noise) in itertools.product(np.ndindex(height, width), (("0.0625", 1 / 16), ("nan", 1 / 32))):
+    noises = {"0.0625": 1 / 16, "0.5": 1 / 2, "nan": 1 / 32}
+    for (y, x), (name, noise) in itertools.product(np.ndindex(height, width), noises.items()):
         here, near = said(y, x, noise), []
         if here is not None:
             near = [said(y + dy, x + dx, noise) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
             near = [one for one in near if one is not None and abs(one - here) <= 1.5 * SEARCH_CASE.step]
-        assert got[f"known at {name}"][y, x] == (len(near) > 3)
-        assert got[f"values at {name}"][y, x] == pytest.approx(sum(near) / len(near) if len(near) > 3 else 0)
-    assert 0 < got["known at 0.0625"].mean() < 1
+        assert got[f"known at {name}"][y, x] == (len(near) > 2)
+        assert got[f"values at {name}"][y, x] == pytest.approx(sum(near) / len(near) if len(near) > 2 else 0)
+    assert 0 < got["known at 0.5"].mean() < 1
 
 
 def test_grain_is_that_of_windows_without_limits(rng: np.random.Generator) -> None:
