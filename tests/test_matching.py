@@ -18,7 +18,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PRESETS, PresetName, method_of
 from lfgpu.methods.matching.config import SweepConfig
-from lfgpu.methods.matching.disparities import compared_disparities, view_sets
+from lfgpu.methods.matching.disparities import compared_disparities, compared_reach, view_sets
 from lfgpu.methods.matching.noise import in_units_of, measured_grain, measured_noise
 from lfgpu.methods.matching.passes import ACCURATE, FAST, LEARNED, matching_sweeps, sweeps_of
 from lfgpu.methods.matching.views import are_around, compared_views, every_other_view, used_views
@@ -73,6 +73,26 @@ def test_a_wide_range_makes_the_steps_longer_and_a_narrow_one_still_has_three() 
     few = compared_disparities((-50.0, 50.0), 4.0, SweepConfig(max_labels=3))
     assert (few.step, few.count) == (100.0, 3)
     assert compared_disparities((0.0, 1e-3), 1.0, SweepConfig()).count == 3
+
+
+def test_views_near_the_reference_are_compared_where_the_range_is_wide() -> None:
+    config = SweepConfig(step=0.5, max_labels=102)  # 50 px in the farthest view
+    for width, reach in ((12.5, 4.0), (12.6, 3.0), (25.0, 2.0), (25.1, 1.0), (1000.0, 1.0)):
+        assert compared_reach(grid(9, 9), (-5.0, width - 5.0), config) == reach
+    assert compared_reach(grid(1, 9), (0.0, 50.0), config) == 2.0  # four views beside the reference
+    assert compared_reach(grid(1, 3), (0.0, 50.0), config) == 1.0  # there are no more
+
+
+WIDE = (-6.0, 6.0)
+
+
+@pytest.mark.parametrize(("preset", "most"), [("fast", 3.5), ("accurate", 3.0)])
+def test_a_wide_range_is_swept_near_the_reference_and_aligned_in_all_views(preset: PresetName, most: float) -> None:
+    lf = scenes.make("planes", grid=(5, 5), size=(128, 128), disparity_range=WIDE)
+    config = PRESETS[preset].with_values({"sweep.max_labels": 29})
+    result = estimate_depth(lf, disparity_range=WIDE, config=config, device="cpu")
+    assert evaluate(result.disparity, lf.reference_truth().disparity).badpix_07 < most
+    assert not [note for note in result.notes if "disparities that are compared" in note]
 
 
 def test_every_other_view_of_a_large_grid_is_swept_at_first() -> None:

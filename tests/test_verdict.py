@@ -137,7 +137,7 @@ def test_disparities_that_lie_far_apart_in_a_wide_range_are_a_note() -> None:
     lf, bounds = right(), (-3.0, 3.0)
     config = preset("fast").with_values({"sweep.max_labels": 8})
     result = lfgpu.estimate_depth(lf, config=config, disparity_range=bounds, device="cpu", check_cameras=False)
-    assert [note for note in result.notes if "the 8 disparities that are compared lie 2 px apart" in note]
+    assert [note for note in result.notes if "the 8 disparities that are compared lie 1 px apart" in note]
     again = lfgpu.judged(lf, result, disparity_range=bounds, device="cpu", check_cameras=False)
     assert again.notes == result.notes
     assert method_of("fast").doubt(lf.layout, bounds) is None

@@ -18,7 +18,7 @@ _BESIDE = 1  # pixels beside an edge in another view where both sides are mixed:
 class Alignment:
     """Steps on the common evidence of the views that see a pixel, and the plane through similar pixels after each.
 
-    Of large grids, every other view is compared until the last step.
+    Of large grids, every other view is compared until the last step, but all where sweeps compare near views only.
     """
 
     def __init__(self, frame: Frame) -> None:
@@ -32,7 +32,7 @@ class Alignment:
         self._of_matched = arena.number(lambda: (tuning.matched * frame.config.tuning.alignment.robust) ** 2)
         self._last = _Step(frame, frame.layout)
         self._first = self._last
-        if frame.compared_layout is not frame.layout:
+        if frame.compared_layout is not frame.layout and not frame.is_wide:
             self._first = _Step(frame, frame.compared_layout)
         self.moves = [arena.device.scalar(0.0) for _ in range(config.alignment.iterations)]
         """Sums over the squares of each step."""
@@ -59,9 +59,14 @@ class Alignment:
         if variance is not None:
             self._weigh_matched(variance)
         kernels, tuning, workspace = self._kernels, self._tuning, self._workspace
-        longest, support = tuning.longest_step / self._farthest, tuning.support / self._farthest
+        wide, reach = self._frame.is_wide, self._frame.reach
+        longest, support = tuning.longest_step / reach, tuning.support / reach
         kernels.copy(matched, map_out)
+        if wide:
+            kernels.copy(self._prior.ones, self._certainty)
         for iteration, moved in enumerate(self.moves[:steps], 1):
+            if wide:
+                self._fit_planes(map_out, support)
             step = self._last if iteration == steps else self._first
             step(map_out, self.curvature, self._slope)
             if variance is not None:
@@ -76,8 +81,8 @@ class Alignment:
             if iteration == steps:
                 self.put_back(matched, map_out)
             self._weigh_texture()
-            self._prior.plane(map_out, self._certainty, support=support, ridge=tuning.ridge, plane_out=workspace)
-            kernels.copy(workspace, map_out)
+            if not wide:
+                self._fit_planes(map_out, support)
             if callback is not None:
                 callback(iteration, self._size_of(moved))
         kernels.axpby(1.0, self._certainty, -tuning.still, self._prior.ones, workspace)
@@ -98,6 +103,12 @@ class Alignment:
         kernels.multiply(workspace, workspace, workspace)
         kernels.threshold(workspace, self._reach**2, workspace)
         kernels.select(workspace, matched, map_, map_)
+
+    def _fit_planes(self, map_: Array, support: float) -> None:
+        """Give each pixel of a map [y, x] its value on the plane through similar pixels that are certain."""
+        workspace, ridge = self._workspace, self._tuning.ridge
+        self._prior.plane(map_, self._certainty, support=support, ridge=ridge, plane_out=workspace)
+        self._kernels.copy(workspace, map_)
 
     def _weigh_matched(self, variance: Array) -> None:
         """Find the curvature of the log likelihood of the matched map, in units of that of the views."""

@@ -116,7 +116,7 @@ class Completion:
             arena,
             tuning.boundaries,
             frame.size,
-            step=tuning.boundaries.step / farthest,
+            step=tuning.boundaries.step / frame.reach,
             contrast=lambda: frame.config.boundaries.contrast,
         )
 

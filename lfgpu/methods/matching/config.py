@@ -28,7 +28,11 @@ class SweepConfig(Section):
         0.45, 0.02, 2.0, "distance between two compared disparities, pixels in the farthest view; smaller is slower"
     )
     max_labels: int = number(
-        256, 3, 4096, "largest number of compared disparities; a range that needs more gets longer steps"
+        256,
+        3,
+        4096,
+        "largest number of compared disparities; in a range that needs more, views near the reference are compared "
+        "first, at last in longer steps",
     )
     noise: float = number(
         0.0, 0.0, 1.0, "root mean square difference between views that show the same point, intensity; 0 measures it"

@@ -16,6 +16,7 @@ _ON_BOUND = 1e-6  # steps: a disparity that is nearer to a bound lies on it
 _NETWORK_STEP = 0.5  # pixels in the farthest view between disparities of the network, as it was trained
 _PADDING = 2  # disparities beyond either bound that the network compares: it was trained to find surfaces inside
 _FEWEST = 3  # a minimum between two disparities is found from three
+_FEWEST_VIEWS = 4  # beside the reference, which wide ranges leave
 
 
 def compared_disparities(
@@ -35,6 +36,17 @@ def compared_disparities(
     begin, end = math.floor(low / step - 0.5 + _ON_BOUND), math.ceil(high / step - 0.5 - _ON_BOUND)
     count = max(end - begin + 1, _FEWEST)
     return Disparities((begin + 0.5) * step, step, count, count + -count % multiple)
+
+
+def compared_reach(offsets: Float64Array, bounds: tuple[float, float], config: SweepConfig) -> float:
+    """Return the distance of the farthest views at `offsets` [n, 2] that sweeps compare, view steps.
+
+    It is as large as `config.max_labels` disparities allow at steps of `config.step` pixels there, but at least four
+    views are left beside the reference.
+    """
+    distances = np.sort(np.abs(offsets).max(1))
+    fits = distances[_FEWEST_VIEWS:] * (bounds[1] - bounds[0]) <= config.step * (config.max_labels - 2)
+    return float(distances[-1] if len(fits) == 0 else distances[_FEWEST_VIEWS + max(int(fits.sum()), 1) - 1])
 
 
 def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:

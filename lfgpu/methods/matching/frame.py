@@ -82,7 +82,11 @@ class Frame:
         self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
         room = 1 if arena.changing is None else _ROOM["gpu" if arena.device.is_gpu else "cpu"]
         self._multiple = multiple or room
-        self.disparities = compared_disparities(bounds, layout.farthest, config.sweep, multiple=self._multiple)
+        self.reach = chosen.reach
+        """The distance of the farthest views from which sweeps choose, view steps."""
+        self.is_wide = chosen.is_wide
+        """See `ChosenViews`."""
+        self.disparities = compared_disparities(bounds, self.reach, config.sweep, multiple=self._multiple)
         """The disparities that sweeps compare."""
         self.moving: list[PlaneSweep] = []
         """The plane sweeps over these."""
@@ -123,7 +127,7 @@ class Frame:
     def follow(self, bounds: tuple[float, float], config: MatchingConfig, *, deviation: float | None) -> bool:
         """Go on with other bounds, and parameters and smoothing for another noise; tell whether that is possible."""
         own, multiple = self.disparities, self._multiple
-        disparities = compared_disparities(bounds, self.layout.farthest, config.sweep, multiple=multiple)
+        disparities = compared_disparities(bounds, self.reach, config.sweep, multiple=multiple)
         fits = 0 <= own.slices - disparities.slices < 2 * multiple - 1  # at most one multiple is wasted
         if disparities.step != own.step or not fits or (deviation is None) != (self._smoothing is None):
             return False

@@ -9,7 +9,7 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.disparities import compared_disparities
+from lfgpu.methods.matching.disparities import compared_disparities, compared_reach
 from lfgpu.methods.matching.guesses import GUESS_REACH
 from lfgpu.methods.matching.learned import NETWORK_REACH
 from lfgpu.methods.matching.noise import exposed, measured_grain, measured_noise, of_given_noise, smoothing_deviation
@@ -80,14 +80,15 @@ class Matching(Method[MatchingConfig]):
         return self.config.tuning.alignment.support / layout.farthest
 
     def doubt(self, layout: ViewLayout, bounds: tuple[float, float]) -> str | None:
-        config, farthest = self.config.sweep, layout.subset(self.used_views(layout.offsets)).farthest
-        step = farthest * compared_disparities(bounds, farthest, config).step
+        config = self.config.sweep
+        reach = compared_reach(layout.offsets[self.used_views(layout.offsets)], bounds, config)
+        step = reach * compared_disparities(bounds, reach, config).step
         if math.isclose(step, config.step):
             return None
         return (
             f"The disparity range from {bounds[0]:.3g} to {bounds[1]:.3g} px per view step is so wide that the "
-            f"{config.max_labels} disparities that are compared lie {step:.2g} px apart in the farthest view, not "
-            f"{config.step:g}: surfaces may be missed; give a narrower range, or a larger sweep.max_labels."
+            f"{config.max_labels} disparities that are compared lie {step:.2g} px apart in the farthest view of the "
+            f"sweeps, not {config.step:g}: surfaces may be missed; give a narrower range, or a larger sweep.max_labels."
         )
 
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:

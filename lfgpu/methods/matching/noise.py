@@ -146,7 +146,7 @@ class _FirstSweep:
         config: MatchingConfig,
         deviation: float | None,
     ) -> None:
-        arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout)
+        arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout, layout.farthest)
         self._frame = Frame(arena, chosen, bounds, config, deviation=deviation, multiple=1)
         self._swept, self._kernels = self._frame.swept("all"), device.kernels
         self._cost = PlaneSweepCost(self._swept, first_cost(config))

@@ -125,7 +125,7 @@ class Sweeps:
                     size,
                     share=tuning.ambiguity,
                     disparities=lambda: frame.disparities,
-                    tolerance=tuning.tolerance / frame.layout.farthest,
+                    tolerance=tuning.tolerance / frame.reach,
                     ones=frame.prior.ones,
                 )
             self._first, self._further = PlannedSweep(first, frame), [PlannedSweep(row, frame) for row in further]

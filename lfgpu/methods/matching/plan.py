@@ -20,10 +20,12 @@ from lfgpu.methods.matching.alignment import Alignment
 from lfgpu.methods.matching.choice import SecondMap
 from lfgpu.methods.matching.completion import Completion
 from lfgpu.methods.matching.config import MatchingConfig
+from lfgpu.methods.matching.disparities import compared_reach
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.judging import kind_of
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.passes import Sweeps, follow, sweeps_of
+from lfgpu.methods.matching.tuning import in_wide_ranges
 from lfgpu.methods.matching.views import are_around, chosen_views
 from lfgpu.methods.measured import Measured
 from lfgpu.solvers.solution import Solution
@@ -38,7 +40,9 @@ class MatchingPlan:
 
     def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
         kind = kind_of(config.sweep.resweeps)
-        chosen = chosen_views(layout, config.sweep.views)
+        chosen = chosen_views(layout, measured.disparity_range, config.sweep)
+        if chosen.is_wide:
+            config = replace(config, tuning=in_wide_ranges(config.tuning))
         if not are_around(chosen.compared.offsets):  # a widened surface would hide what no view shows beside it
             config = replace(config, sweep=replace(config.sweep, resweeps=min(config.sweep.resweeps, 1)))
         self._given, self._exposure = config, measured.exposure
@@ -72,6 +76,8 @@ class MatchingPlan:
     def follow(self, measured: Measured) -> bool:
         """Go on with what was measured on other views; tell whether that is possible. If not, the plan is used up."""
         if self._arena.changing is None or measured.exposure != self._exposure:
+            return False
+        if compared_reach(self._frame.layout.offsets, measured.disparity_range, self._given.sweep) != self._frame.reach:
             return False
         config, deviation = self._in_units(measured), smoothing_deviation(measured.grain, self._given.sweep)
         return self._frame.follow(measured.disparity_range, config, deviation=deviation)

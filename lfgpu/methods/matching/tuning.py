@@ -205,3 +205,16 @@ FAST = MatchingTuning(
 )
 LEARNED = MatchingTuning("learned", sweep=replace(ACCURATE.sweep, first_views="all"), passes="learned")
 SUREST = replace(FAST, name="surest", alignment=ACCURATE.alignment, passes="both")
+
+
+def in_wide_ranges(tuning: MatchingTuning) -> MatchingTuning:
+    """Return the numbers for ranges so wide that sweeps compare views near the reference only.
+
+    There surfaces turn so far between the views that gradients are not alike, and neighbours neither in disparity.
+    """
+    return replace(
+        tuning,
+        prior=replace(tuning.prior, sigma_color=0.1),
+        alignment=replace(tuning.alignment, gradient_weight=0.0, robust=0.03, support=0.3),
+        hole_filling=replace(tuning.hole_filling, stiffness=0.002),
+    )

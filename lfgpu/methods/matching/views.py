@@ -9,6 +9,8 @@ import numpy as np
 
 from lfgpu.contract import Float64Array
 from lfgpu.data.layout import ViewLayout, in_pattern
+from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.disparities import compared_reach
 
 ViewRule = Callable[[ViewLayout, str], list[int]]
 """Chooses views of a layout, given `sweep.views`: indices in order, the reference among them."""
@@ -77,18 +79,27 @@ class ChosenViews:
     used: ViewLayout
     chosen: list[int] | None  # indices of the compared views among the used ones; None if all are compared
     compared: ViewLayout
+    reach: float  # distance of the farthest views from which the compared ones are chosen, view steps
+
+    @property
+    def is_wide(self) -> bool:
+        """True if the range is so wide that sweeps compare views near the reference only."""
+        return self.reach < self.used.farthest
 
 
-def chosen_views(layout: ViewLayout, pattern: str) -> ChosenViews:
-    """Apply `sweep.views` to a layout."""
-    given = used_views(layout.offsets, pattern)
+def chosen_views(layout: ViewLayout, bounds: tuple[float, float], config: SweepConfig) -> ChosenViews:
+    """Apply `sweep.views` to a layout, and leave the views near the reference where the range is wide."""
+    given = used_views(layout.offsets, config.views)
     used = layout.subset(given)
-    chosen = compared_views(used, pattern)
+    reach = compared_reach(used.offsets, bounds, config)
+    near = np.flatnonzero(np.abs(used.offsets).max(1) <= reach)
+    chosen = _indices(near[compared_views(used.subset(near), config.views)])
     return ChosenViews(
         given if used.count < layout.count else None,
         used,
         chosen if len(chosen) < used.count else None,
         used.subset(chosen),
+        reach,
     )
 
 
