@@ -28,7 +28,7 @@ from benchmarks.tables import NONE, Table, duration
 
 _ERRORS = {"mse_100": ".3g", "badpix_07": ".1f", "badpix_03": ".1f", "badpix_01": ".1f"}
 _COMPARED = ("cotton", "kitchen", "vinyl")  # scenes of the HCI benchmark that other methods are published on
-_NAMES = {"fast": "fast", "accurate": "accurate", "paper": pipelines.RESIDENT}  # of the pipelines of presets
+_NAMES = {name: name for name in ("fast", "accurate", "surest")} | {"paper": pipelines.RESIDENT}  # of pipelines
 
 
 def content(path: Path) -> Any:
@@ -156,7 +156,8 @@ def _backends(path: Path) -> str:
     rows = []
     for preset, name in _NAMES.items():
         of = {(r.backend, r.device): r.seconds.median for r in found if r.name == name and r.seconds is not None}
-        rows.append((f"`{preset}`", *(f"{duration(of[pair])} ({of[pair] / of[pairs[0]]:.1f})" for pair in pairs)))
+        if of:
+            rows.append((f"`{preset}`", *(f"{duration(of[pair])} ({of[pair] / of[pairs[0]]:.1f})" for pair in pairs)))
     return Table("", ("preset", *(" ".join(pair) for pair in pairs)), len(pairs) + 1, rows).markdown
 
 
