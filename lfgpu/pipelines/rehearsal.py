@@ -47,9 +47,11 @@ class Rehearsal:
             if disparity_range is None:
                 with suppress(LightFieldError):  # so little of the views may show nothing
                     find_disparity_range(self._lf, self._device)
-            self._method.measured(self._lf, disparity_range or _RANGE, self._device)
+            self._method.measured(self._lf, bounds, self._device)
 
+        bounds = disparity_range or _RANGE
         self._device.kernels.prepare(measure, self._device.name)
+        self._method.measured(self._lf, bounds, self._device)  # other kernels measure views with grain
 
     def run(self, measured: Measured) -> None:
         """Load the kernels of the stages; waits for the device."""
