@@ -14,6 +14,7 @@ from samples import refusal
 
 import lfgpu
 from lfgpu.data.lightfield import LightField
+from lfgpu.errors import LightFieldError
 from lfgpu.io import read, recognise
 from lfgpu.io.lenslet import read_lenslet, write_decoded
 from lfgpu.io.lenslet.bayer import PATTERNS, demosaic, green_diagonal, transposed
@@ -127,6 +128,13 @@ def test_a_slanted_lattice_is_counted_from_any_lens() -> None:
     np.testing.assert_allclose(moved.centres(k + 12, row), true.centres(k, row), atol=1e-9)
     found = moved.places(*(true.centres(k, row)[:1, i].astype(np.float32) for i in (0, 1)))
     np.testing.assert_allclose([float(a[0, 0]) for a in found], [15, 5], atol=1e-3)
+
+
+def test_a_lattice_that_is_neither_hexagonal_nor_square_is_refused() -> None:
+    """Rows at 80 degrees, of which none goes along x."""
+    along, down = (10 * np.array([np.cos(a), np.sin(a)]) for a in np.radians((50, 130)))
+    with pytest.raises(LightFieldError, match="that is neither hexagonal nor square"):
+        Microlenses(np.zeros(2), along, down).reduced(name="it")
 
 
 def test_what_the_camera_says_of_its_lattice_goes_before_the_spectrum(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,6 +8,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.errors import LightFieldError
+
 
 @dataclass(frozen=True, eq=False)
 class Microlenses:
@@ -103,8 +105,11 @@ class Microlenses:
             slant=self.slant / scale,
         )
 
-    def reduced(self) -> Microlenses:
-        """Return it by its shortest steps, along the row nearest to x or y, and down; finds out if it is square."""
+    def reduced(self, *, name: str) -> Microlenses:
+        """Return it by its shortest steps, along the row nearest to x or y, and down; finds out if it is square.
+
+        LightFieldError, which names `name`, if it is neither square nor hexagonal.
+        """
         basis = np.array([[*self.along, self.slant[0]], [*self.down, self.slant[1]]])
         steps = np.array([(i, j) for i in range(-3, 4) for j in range(-3, 4) if (i, j) != (0, 0)]) @ basis
         steps = steps[np.argsort(np.hypot(*steps[:, :2].T))]
@@ -114,6 +119,10 @@ class Microlenses:
         off_axis = np.abs((angles + 45) % 90 - 45)
         limits = (-45, 45) if square else (-45, 135)
         candidates = [i for i in range(len(shortest)) if limits[0] < angles[i] <= limits[1]]
+        if not candidates:
+            raise LightFieldError(
+                f"{name} shows a lattice of bright spots that is neither hexagonal nor square, as microlenses are."
+            )
         chosen = min(candidates, key=lambda i: off_axis[i])
         # What turns from `along` towards larger y by about 60 or 90 degrees.
         turned = (angles - angles[chosen] + 180) % 360 - 180

@@ -30,20 +30,20 @@ def find_microlenses(picture: NDArray[np.float32], *, name: str, expected: Micro
     if expected is not None:
         waves = np.linalg.inv(np.stack([expected.along, expected.down], axis=1))
         try:
-            return fitted(picture, waves, expected.pitch, name=name).reduced().near(middle)
+            return fitted(picture, waves, expected.pitch, name=name).reduced(name=name).near(middle)
         except LightFieldError:  # another camera's metadata, or a cropped picture: it is looked for
             pass
     peaks = find_peaks(picture)
     few = peaks is None or min(picture.shape) < _LEAST_NEIGHBOURHOODS * NEIGHBOURHOOD * peaks.pitch
-    if few and (spots := find_spots(picture)) is not None:
-        return spots.reduced().near(middle)
+    if few and (spots := find_spots(picture, name=name)) is not None:
+        return spots.reduced(name=name).near(middle)
     if peaks is None:
         raise LightFieldError(
             f"{name} shows no microlenses: a raw capture of a lenslet camera has a hexagonal or square lattice of "
             f"bright spots {PITCHES[0]:g} to {PITCHES[1]:g} px apart, and its spectrum peaks; there are none that "
             "stand out."
         )
-    return fitted(picture, peaks.frequencies[:2], peaks.pitch, name=name).reduced().near(middle)
+    return fitted(picture, peaks.frequencies[:2], peaks.pitch, name=name).reduced(name=name).near(middle)
 
 
 def is_upright(grid: Microlenses) -> bool:

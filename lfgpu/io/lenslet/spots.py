@@ -22,7 +22,7 @@ _DARKER = 0.8  # half-way between two spots, of their middles
 _FOUND = 0.05  # px that spots may move at the end, by the median
 
 
-def find_spots(picture: NDArray[np.float32]) -> Microlenses | None:
+def find_spots(picture: NDArray[np.float32], *, name: str) -> Microlenses | None:
     """Find the lattice of a picture [y, x] of few spots, at least 3 x 3; None if there is none.
 
     Their middles are those of evenly lit spots: in the picture of a scene, what it shows moves them.
@@ -30,7 +30,7 @@ def find_spots(picture: NDArray[np.float32]) -> Microlenses | None:
     steps = _steps(picture) if picture.size <= _MOST_PIXELS else None
     if steps is None:
         return None
-    lenses = _placed(picture, Microlenses(np.zeros(2), steps[0], steps[1]).reduced())
+    lenses = _placed(picture, Microlenses(np.zeros(2), steps[0], steps[1]).reduced(name=name))
     for _ in range(_ROUNDS):
         found, moved = _moved(picture, lenses)
         if found is None:
