@@ -39,14 +39,19 @@ def filled(result: ViewsResult) -> ViewsResult:
 
 @cache
 def estimated(name: str) -> ViewsResult:
-    return filled(estimate_all_views(scene(name), disparity_range=RANGE))
+    return filled(estimate_all_views(scene(name), config="accurate", disparity_range=RANGE))
 
 
 @cache
 def alone(name: str) -> np.ndarray:
     """Every third view estimated as if it were the only one."""
     lf = scene(name)
-    return np.stack([estimate_depth(lf.with_reference(n), disparity_range=RANGE).disparity for n in range(0, 25, 3)])
+    return np.stack(
+        [
+            estimate_depth(lf.with_reference(n), config="accurate", disparity_range=RANGE).disparity
+            for n in range(0, 25, 3)
+        ]
+    )
 
 
 def differences(maps: np.ndarray, true: np.ndarray, positions: np.ndarray) -> np.ndarray:
@@ -94,7 +99,7 @@ def test_maps_are_better_than_those_of_views_alone_and_agree_more(name: str) -> 
     true, positions = truths(name)[::3], scene(name).positions[::3]
     both = estimated(name).disparities[::3], alone(name)
     bad = [np.mean([evaluate(d, t).badpix_07 for d, t in zip(maps, true, strict=True)]) for maps in both]
-    assert bad[0] < 0.95 * bad[1]
+    assert bad[0] < 0.9 * bad[1]
     joint, single = (differences(maps, true, positions) for maps in both)
     assert np.median(joint) < 0.5 * np.median(single)
     assert np.mean(joint > 0.07) < 0.7 * np.mean(single > 0.07)
@@ -116,7 +121,9 @@ def test_depths_confidence_and_the_reference_are_those_of_one_estimate() -> None
     low, high = np.quantile(confidence, (0.3, 0.7))
     assert wrong[confidence >= high].mean() < 0.2 * wrong[confidence <= low].mean()
     lf, result = scene("planes"), estimated("planes")
-    np.testing.assert_array_equal(result.reference.disparity, estimate_depth(lf, disparity_range=RANGE).disparity)
+    np.testing.assert_array_equal(
+        result.reference.disparity, estimate_depth(lf, config="accurate", disparity_range=RANGE).disparity
+    )
     assert result.keys[0] == lf.reference_index
     assert result.keys == (12, 0, 4, 20, 24, 2, 10, 14, 22)
     assert set(result.timings) == {"keys", "join", "total"}
