@@ -181,8 +181,8 @@ def _marks(page: Path, text: str, folder: Path) -> Iterator[tuple[Mark, tuple[in
         of_old = next((at for mark, (at, _) in found if set(re.findall(r"\S+\.json", mark.source)) & set(old)), 0)
         place = max((heading.end() for heading in _HEADING.finditer(text, 0, of_old)), default=0)
         first, last = note.span() if note else (place, place)
-        yield Mark(page, _line(text, first), ", ".join(old), text[first:last], _note(old)), (first, last)
-    yield from found
+        found.append((Mark(page, _line(text, first), ", ".join(old), text[first:last], _note(old)), (first, last)))
+    yield from sorted(found, key=lambda mark: mark[1])
 
 
 def _note(names: Sequence[str]) -> str:

@@ -332,12 +332,14 @@ def aged(folder: Path) -> None:
 
 
 def test_a_page_says_that_a_file_is_stale_until_it_is_measured_again(folder: Path) -> None:
-    page = page_of(folder, "---\ntop: 1\n---\n\n# Title\n\n" + MARKED.format("123.4"))
+    (folder / "other.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    before = "# First\n\nOf <!-- figure: other.json date .4 -->2026<!-- /figure -->.\n\n"
+    page = page_of(folder, "---\ntop: 1\n---\n\n" + before + "# Title\n\n" + MARKED.format("123.4"))
     fresh = page.read_text(encoding="utf-8")
     assert figures.write(folder, folder) == []
     aged(folder)
     differing = [mark for mark in figures.marks(page, folder) if mark.found != mark.wanted]
-    assert [(mark.line, mark.source) for mark in differing] == [(7, "run.json")]
+    assert [(mark.line, mark.source) for mark in differing] == [(11, "run.json")]
     figures.write(folder, folder)
     top, note, rest = re.split(r"<!-- /?stale -->\n", page.read_text(encoding="utf-8"))
     assert "Older than the code: the figures from `run.json`" in note
