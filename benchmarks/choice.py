@@ -17,9 +17,9 @@ from lfgpu.methods.matching import learned
 
 def command(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.npz", help="File of the weights.")],
-    light_fields: Annotated[int, typer.Option(min=1, metavar="N", help="Light fields to learn from.")] = 3360,
+    light_fields: Annotated[int, typer.Option(min=1, metavar="N", help="Light fields to learn from.")] = 7392,
     side: Annotated[int, typer.Option(min=32, help="Pixels of these, each way.")] = 256,
-    steps: Annotated[int, typer.Option(min=1)] = 3500,
+    steps: Annotated[int, typer.Option(min=1)] = 5000,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     device: DeviceName = None,
 ) -> None:

@@ -33,6 +33,8 @@ from lfgpu.training.network import FOLD, Choice
 _DISTURBED = 0.2  # standard deviation of factors of weights
 _TOGETHER = 8  # light fields of one array of cameras
 _REFRESH = 40  # arrays after which the textures are drawn anew
+_MASKED = 0.25  # share of the arrays whose lenses are round
+_LENS = 0.55, 0.7  # radius of what these show, in diameters of the largest circle in a view
 _SLACK = 1.0, 6.0  # pixels in the farthest view by which ranges are wider than the truth at either end
 _LEAST_UNIT = 1 / 12  # of the distance to the farthest view: no view step is shorter
 _FINE, _MOST = 0.03, 4.0  # pixels in the farthest view: errors from which the loss grows slower, and no more
@@ -52,7 +54,7 @@ class Compared:
     maps: Tensor
     """float32 [n, 2, y, x]."""
     truth: Tensor
-    """float32 [n, y, x]."""
+    """float32 [n, y, x], NaN where the reference view is masked."""
     limits: Tensor
     """The error up to which a pixel is right, [n]."""
 
@@ -124,10 +126,11 @@ def draw(
         offsets /= max(float(np.quantile(apart[apart > 0], 0.02)), _LEAST_UNIT)  # now in view steps
         inside = slice(batch.margin, batch.margin + side)
         views = torch.cat([batch.views[:, :, inside, inside], batch.reference[:, None]], 1).clamp(0, 1)
-        white = rng.choice([255, 65535])
+        white, valid = rng.choice([255, 65535]), _lens(side, rng)
         stored = (white * views.cpu().numpy() + 0.5).astype(np.uint8 if white == 255 else np.uint16)
         for these, truth in zip(stored, batch.truth.cpu().numpy(), strict=True):
-            lf = LightField(these, offsets, reference=len(offsets) - 1)
+            masks = None if valid is None else np.broadcast_to(valid, these.shape[:3])
+            lf = LightField(these, offsets, reference=len(offsets) - 1, valid=masks)
             farthest, slack = lf.layout.farthest, rng.uniform(*_SLACK, 2)
             bounds = (truth.min() - slack[0]) / farthest, (truth.max() + slack[1]) / farthest
             try:
@@ -135,12 +138,21 @@ def draw(
             except LightFieldError:
                 continue  # nothing to be seen
             halves = features.astype(np.float16), image.astype(np.float16)
-            found.append((*halves, farthest * maps, truth, np.array(_RIGHT * farthest, np.float32)))
+            known = truth if valid is None else np.where(valid, truth, np.float32(np.nan))
+            found.append((*halves, farthest * maps, known, np.array(_RIGHT * farthest, np.float32)))
             on_light_field(len(found))
             if len(found) == number:
                 parts = (torch.from_numpy(np.stack(part)) for part in zip(*found, strict=True))
                 return Compared(*(part.to(device) for part in parts))
     raise AssertionError
+
+
+def _lens(side: int, rng: np.random.Generator) -> NDArray[np.bool_] | None:
+    """Draw what a round lens shows, bool [y, x], or None: most views are whole."""
+    if rng.random() >= _MASKED:
+        return None
+    y, x = np.mgrid[:side, :side] - (side - 1) / 2
+    return np.hypot(y, x) < rng.uniform(*_LENS) * side
 
 
 def disturbed(weights: WeightsFile, rng: np.random.Generator) -> WeightsFile:
@@ -168,16 +180,17 @@ def _cost(error: Tensor) -> Tensor:
 def loss_of(decisions: Tensor, seen: Compared) -> Tensor:
     """Give the loss of decisions [n, DECISIONS, y, x]: of the map, of its confidence and of its deviation."""
     choice, right, size = decisions.unbind(1)
-    share, maps, truth = choice.sigmoid(), seen.maps, seen.truth
+    known = seen.truth.isfinite()
+    share, maps, truth = choice.sigmoid(), seen.maps, torch.where(known, seen.truth, seen.maps[:, 0])
     apart = maps[:, 1] - maps[:, 0]
     first, second = (_cost((map_ - truth).abs()) for map_ in maps.unbind(1))
     mean = _cost((maps[:, 0] + share * apart - truth).abs())
-    of_map = torch.where(apart.abs() < CLOSE, mean, share * second + (1 - share) * first).mean()
+    of_map = torch.where(apart.abs() < CLOSE, mean, share * second + (1 - share) * first)[known].mean()
     error = (chosen(maps, decisions.detach()) - truth).abs()
     is_right = (error < seen.limits[:, None, None]).float()
-    of_confidence = F.binary_cross_entropy_with_logits(right, is_right)
+    of_confidence = F.binary_cross_entropy_with_logits(right[known], is_right[known])
     size = size.clamp(-7, 4)
-    of_deviation = (size + 1.5 * torch.log1p((error * torch.exp(-size)) ** 2 / 2)).mean()
+    of_deviation = (size + 1.5 * torch.log1p((error * torch.exp(-size)) ** 2 / 2))[known].mean()
     return of_map + 0.3 * of_confidence + 0.1 * of_deviation
 
 

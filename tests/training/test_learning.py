@@ -227,7 +227,7 @@ def test_two_processes_learn_the_same(tmp_path: Path) -> None:
 
 
 def test_a_choice_learns(tmp_path: Path) -> None:
-    """On a few light fields, whose maps it tells apart afterwards."""
+    """On a few light fields, whose maps it tells apart afterwards; masked pixels count for nothing."""
     weights = weights_file(BUILT_IN)
     seen = draw(2, seed=1, device="cpu", side=64, weights=weights, on_light_field=lambda _: None)
     assert torch.isfinite(seen.features).all()
@@ -237,8 +237,12 @@ def test_a_choice_learns(tmp_path: Path) -> None:
         with torch.no_grad():
             decisions = network(seen.features.float(), seen.image.float())
         losses.append(float(loss_of(decisions, seen)))
-        errors = (chosen(seen.maps, decisions) - seen.truth).abs().clamp(max=4).mean()
+        errors = (chosen(seen.maps, decisions) - seen.truth).abs().clamp(max=4).nanmean()
     assert losses[1] < losses[0] - 0.1
-    assert float(errors) < float((seen.maps - seen.truth[:, None]).abs().clamp(max=4).mean((0, 2, 3)).max())
+    assert float(errors) < float((seen.maps - seen.truth[:, None]).abs().clamp(max=4).nanmean((0, 2, 3)).max())
+    seen.truth[:, 5:9] = torch.nan
+    unseen = decisions.clone()
+    unseen[..., 5:9, :] += 1
+    assert torch.equal(loss_of(unseen, seen), loss_of(decisions, seen))
     write_weights(tmp_path / "choice.npz", network.state_dict())
     assert read_choice(tmp_path / "choice.npz").keys() == fold(network.state_dict()).keys()
