@@ -38,6 +38,13 @@ def check_number(name: str, value: Any, least: float = -math.inf, most: float = 
         raise LightFieldError(f"{name} must be a number{bounds}, not {value!r:.60}.")
 
 
+def check_positive(name: str, value: Any, unit: str) -> None:
+    """Raise LightFieldError unless `value` is a finite number above 0, of a `unit` that the message names."""
+    known = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
+    if not (known and 0 < value < math.inf):
+        raise LightFieldError(f"{name} must be a number of {unit} > 0, not {value!r:.60}.")
+
+
 def check_whole(name: str, value: Any, least: int, most: float = math.inf) -> None:
     """Raise LightFieldError unless `value` is a whole number from `least` to `most`."""
     if not isinstance(value, Integral) or isinstance(value, bool) or not least <= int(value) <= most:

@@ -7,13 +7,28 @@ from collections import deque
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from lfgpu.errors import LfgpuError
+from lfgpu.data.light_field_checks import check_whole
+from lfgpu.errors import LfgpuError, LightFieldError
 
 POLICIES = {"latest": 1, "block": 2, "queue": 4}
 """The policies, and for each the default number of frames that may wait."""
 
+_MOST_WAITING = 1000
+
 Frame = TypeVar("Frame")
 Slot = TypeVar("Slot")
+
+
+def most_waiting(policy: str, waiting: int | None) -> int:
+    """Find the number of frames that may wait; LightFieldError if the policy is unknown, or forbids the number."""
+    if policy not in POLICIES:
+        raise LightFieldError(f"policy must be one of {', '.join(POLICIES)}, not {policy!r}.")
+    if waiting is None:
+        return POLICIES[policy]
+    check_whole("waiting", waiting, 1, _MOST_WAITING)
+    if policy == "latest" and waiting != 1:
+        raise LightFieldError(f"waiting must be 1 for the policy latest, not {waiting!r}.")
+    return int(waiting)
 
 
 class Inbox(Generic[Frame, Slot]):
@@ -42,42 +57,29 @@ class Inbox(Generic[Frame, Slot]):
 
     def slot(self) -> Slot:
         """Get an empty slot to fill; `put` or `give_back` must follow. LfgpuError if the inbox is or becomes closed."""
-        dropped: list[Frame] = []
-        try:
+        while True:
             with self._changed:
-                while True:
-                    self.refuse_if_closed()
-                    room = not self._blocks or len(self._waiting) + self._filling < self._most
-                    if room and self._free:
-                        break
-                    if not self._blocks and self._waiting:
-                        frame, slot = self._waiting.popleft()
-                        dropped.append(frame)
-                        self._free.append(slot)
-                        continue
+                self.refuse_if_closed()
+                room = not self._blocks or len(self._waiting) + self._filling < self._most
+                if room and self._free:
+                    self._filling += 1
+                    return self._free.popleft()
+                if self._blocks or not self._waiting:
                     self._changed.wait()
-                self._filling += 1
-                return self._free.popleft()
-        finally:
-            for frame in dropped:
-                self._drop(frame)
+                    continue
+                old = self._take_out()
+            self._drop(old)
 
     def put(self, frame: Frame, slot: Slot) -> None:
         """Add a frame whose slot is filled."""
-        dropped: list[Frame] = []
         with self._changed:
             self._filling -= 1
-            if self._closed:
-                self._free.append(slot)
-                dropped.append(frame)
-            else:
-                self._waiting.append((frame, slot))
-                while len(self._waiting) > self._most:
-                    old, old_slot = self._waiting.popleft()
-                    dropped.append(old)
-                    self._free.append(old_slot)
+            self._waiting.append((frame, slot))
+            many = len(self._waiting) - self._most
+            dropped = [self._waiting.pop()] if self._closed else [self._waiting.popleft() for _ in range(many)]
+            self._free.extend(slot for _, slot in dropped)
             self._changed.notify_all()
-        for old in dropped:
+        for old, _ in dropped:
             self._drop(old)
 
     def give_back(self, slot: Slot, *, filled: bool = False) -> None:
@@ -100,17 +102,13 @@ class Inbox(Generic[Frame, Slot]):
 
     def close(self, *, finish: bool, reason: str = "") -> None:
         """Refuse new frames; waiting frames can still be taken if `finish`, else they are dropped."""
-        dropped: list[Frame] = []
         with self._changed:
             self.reason = self.reason or ("" if self._closed else reason)
             self._closed = True
-            while self._waiting and not finish:
-                frame, slot = self._waiting.popleft()
-                dropped.append(frame)
-                self._free.append(slot)
+            dropped = [] if finish else [self._take_out() for _ in range(len(self._waiting))]
             self._changed.notify_all()
-        for frame in dropped:
-            self._drop(frame)
+        for old in dropped:
+            self._drop(old)
 
     def forget_slots(self) -> None:
         """Let go of the memory of all slots; nobody may ask for one any more."""
@@ -121,3 +119,9 @@ class Inbox(Generic[Frame, Slot]):
         if self._closed:
             why = f", because {self.reason}" if self.reason else ""
             raise LfgpuError(f"the stream is closed{why}; create a new one.")
+
+    def _take_out(self) -> Frame:
+        """Take out the oldest frame, which nobody will read; the caller holds the lock, and drops the frame later."""
+        frame, slot = self._waiting.popleft()
+        self._free.append(slot)
+        return frame

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 import threading
+from collections.abc import Callable
 from time import monotonic
 
 from lfgpu._backends import DEFAULT, open_device
@@ -17,7 +18,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.pipelines.first_errors import FirstErrors
-from lfgpu.pipelines.snapshots import Snapshots
 from lfgpu.pipelines.stream_result import StreamResult
 from lfgpu.pipelines.verdict import at_ends
 from lfgpu.threads import alone_here
@@ -58,10 +58,10 @@ class RangeWatch:
                 self._changed.notify()
         return bool(beyond)
 
-    def run(self, asked_for: Snapshots[tuple[LightField, StreamResult]], errors: FirstErrors) -> None:
+    def run(self, snapshot: Callable[[], tuple[LightField, StreamResult] | None], errors: FirstErrors) -> None:
         """Find the range in the first views, if there are any, and whenever it is wanted; the loop of a thread.
 
-        `asked_for` gives the views of a frame, `errors` takes exceptions. New sentences are logged.
+        `snapshot` waits for the views of a frame, `errors` takes exceptions. New sentences are logged.
         """
         lf, what, self._first = self._first, "the first views", None
         while True:
@@ -73,7 +73,7 @@ class RangeWatch:
             for sentence in new:
                 _LOG.warning(sentence)
             lf = None  # its memory is not needed any more
-            shown = asked_for.get(None) if self.wait() else None
+            shown = snapshot() if self.wait() else None
             if shown is None:
                 return
             lf, what = shown[0], f"the views of frame {shown[1].index}"

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from numbers import Real
 from typing import Any
 
 import numpy as np
@@ -12,15 +10,6 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
-
-
-def checked_tolerance(tolerance: float | None) -> float | None:
-    """Check a tolerance: None, or a number of seconds > 0; else LightFieldError."""
-    if tolerance is None:
-        return None
-    if not isinstance(tolerance, Real) or isinstance(tolerance, bool) or not 0 < tolerance < math.inf:
-        raise LightFieldError(f"tolerance must be a number of seconds > 0, not {tolerance!r}.")
-    return float(tolerance)
 
 
 def checked_stamps(stamps: Any, valid: NDArray[np.bool_]) -> Float64Array:
@@ -44,7 +33,7 @@ class StampWatch:
     """Watch over the stamps of a stream's frames; it says once if `used` cameras are more than the tolerance apart."""
 
     def __init__(self, tolerance: float | None, used: Sequence[int]) -> None:
-        self._tolerance, self._used = checked_tolerance(tolerance), list(used)
+        self._tolerance, self._used = tolerance, list(used)
         self._said: tuple[str, ...] = ()
 
     @property

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import atexit
 import logging
 import os
 import queue
 import threading
+import weakref
+from collections import deque
 from collections.abc import Sequence
+from concurrent.futures import Future
+from contextlib import suppress
 from time import perf_counter
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -16,6 +21,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.config import Config
 from lfgpu.contract import Float64Array
+from lfgpu.data.light_field_checks import check_number, check_positive
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
@@ -23,22 +29,22 @@ from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines import stream_stats
 from lfgpu.pipelines.first_errors import FirstErrors
-from lfgpu.pipelines.inbox import Inbox
+from lfgpu.pipelines.inbox import Inbox, most_waiting
 from lfgpu.pipelines.intake import Intake
-from lfgpu.pipelines.open_streams import OPEN
 from lfgpu.pipelines.pipeline import measured_on
 from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectifier
-from lfgpu.pipelines.snapshots import Snapshots
 from lfgpu.pipelines.stamps import StampWatch, checked_stamps
 from lfgpu.pipelines.stream_engine import Engine, Level, fault
-from lfgpu.pipelines.stream_options import check_options, most_waiting
 from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
 CUT = 0.5
 """Share of the samples whose change makes a frame start without the previous map."""
 _LOG = logging.getLogger(__name__)
+
+Snapshot: TypeAlias = tuple[LightField, StreamResult]
+"""The views of a frame, and its result, which may be pending."""
 
 
 class DepthStream:
@@ -123,7 +129,11 @@ class DepthStream:
         rectifier: Rectifier | None = None,
         tolerance: float | None = None,
     ) -> None:
-        check_options(cut, budget_ms, tolerance)
+        check_number("cut", cut, 0, 1)
+        if budget_ms is not None:
+            check_positive("budget_ms", budget_ms, "milliseconds")
+        if tolerance is not None:
+            check_positive("tolerance", tolerance, "seconds")
         most = most_waiting(policy, waiting)
         given = disparity_range is not None or measured is not None
         method, kernels = method_of(config), load(backend)
@@ -169,7 +179,8 @@ class DepthStream:
 
         self._counters = stream_stats.Counters()
         self._index, self._numbering = 0, threading.Lock()
-        self._asked_for: Snapshots[tuple[LightField, StreamResult]] = Snapshots()
+        self._wishes: deque[Future[Snapshot | None]] = deque()  # for snapshots
+        self._has_ended = False
         self._returned, self._buffers = False, 0
         slots = [self._engine.transport.slot() for _ in range(most + 2)]
         self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
@@ -178,12 +189,12 @@ class DepthStream:
             threading.Thread(target=self._serve, name="lfgpu-solve", daemon=True),
             threading.Thread(target=self._deliver, name="lfgpu-deliver", daemon=True),
             threading.Thread(
-                target=self._watch.run, args=(self._asked_for, self._errors), name="lfgpu-range", daemon=True
+                target=self._watch.run, args=(self.snapshot, self._errors), name="lfgpu-range", daemon=True
             ),
         ]
         for thread in self._threads:
             thread.start()
-        OPEN.add(self)
+        _OPEN.add(self)
 
     @classmethod
     def for_cameras(
@@ -304,7 +315,7 @@ class DepthStream:
         self._inbox.put(result, slot)
         return result
 
-    def snapshot(self, *, timeout: float | None = None) -> tuple[LightField, StreamResult] | None:
+    def snapshot(self, *, timeout: float | None = None) -> Snapshot | None:
         """Take the views of the next frame that is solved, rectified, and its result; for looks at the cameras.
 
         Waits for that frame; the stream waits while its views are copied to the host.
@@ -319,7 +330,15 @@ class DepthStream:
         A light field of the views that are used, and the result, which may be pending; None if no frame came in time,
         or the stream was closed.
         """
-        return self._asked_for.get(timeout)
+        wish: Future[Snapshot | None] = Future()
+        self._wishes.append(wish)
+        if self._has_ended:
+            self._answer(None)
+        with suppress(TimeoutError):
+            return wish.result(timeout)
+        with suppress(ValueError):  # it was answered a moment too late
+            self._wishes.remove(wish)
+        return None
 
     @property
     def rectifier(self) -> Rectifier | None:
@@ -383,7 +402,7 @@ class DepthStream:
         for thread in self._threads:
             thread.join()
         self._intake.close()
-        OPEN.discard(self)
+        _OPEN.discard(self)
         with self._numbering:
             if not self._returned:
                 self._returned, self._buffers = True, self._engine.transport.made
@@ -418,8 +437,8 @@ class DepthStream:
                 level = engine.level(cold=result.cold)
                 result.steps, self._fresh = level.steps, False
                 maps = engine.solve(level, result.valid[self._used])
-                if self._asked_for.wanted:
-                    self._asked_for.put((engine.shown(result.valid[self._used]), result))
+                if self._wishes:
+                    self._answer((engine.shown(result.valid[self._used]), result))
             except Exception as error:  # if the device fails, the result must not stay pending
                 if not read:
                     self._inbox.give_back(slot, filled=True)
@@ -429,7 +448,14 @@ class DepthStream:
                 continue
             self._under_way.put((result, maps, level))
         self._under_way.put(None)
-        self._asked_for.close()
+        self._has_ended = True
+        self._answer(None)
+
+    def _answer(self, shown: Snapshot | None) -> None:
+        """Give all who wait for a snapshot this one, or none."""
+        with suppress(IndexError):  # until nobody waits; some may give up meanwhile
+            while True:
+                self._wishes.popleft().set_result(shown)
 
     def _deliver(self) -> None:
         """Wait for the device, frame by frame; the loop of a thread."""
@@ -500,3 +526,16 @@ class DepthStream:
 
 def _cannot_be_taken(error: Exception) -> LightFieldError:
     return LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
+
+
+_OPEN: weakref.WeakSet[DepthStream] = weakref.WeakSet()
+
+
+def _close_all() -> None:
+    """Close open streams when the interpreter exits, because no device work may run then."""
+    for stream in list(_OPEN):
+        stream.close(finish=False)
+
+
+# Pools of threads end when the main thread does, before `atexit`; what is registered here ends before them.
+getattr(threading, "_register_atexit", atexit.register)(_close_all)
