@@ -20,10 +20,12 @@ from lfgpu.contract import REDUCTION, Device
 from lfgpu.data.mapping import forget, is_mapped
 from lfgpu.io import read_map, write_hci
 from lfgpu.io.disk import on_disk
-from lfgpu.methods import method_of, preset
-from lfgpu.methods.footprint import Footprint, parse_memory
+from lfgpu.methods import footprint, method_of, preset
+from lfgpu.methods.footprint import PROCESS, Footprint, parse_memory
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines import tiles
+from lfgpu.pipelines.pipeline import DepthPipeline
+from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.verdict import map_notes
 
 ROOT = Path(__file__).parents[1]
@@ -120,6 +122,30 @@ def test_every_limit_between_the_smallest_tiles_and_one_piece_gives_tiles(size: 
     for name, values in {**expected.stages, "confidence": expected.confidence}.items():
         ours = found.confidence if name == "confidence" else found.stages[name]
         assert np.abs(ours - values).max() < TOLERANCE, name
+
+
+def test_a_light_field_that_is_too_large_for_the_machine_is_estimated_in_tiles(
+    scene: LightField, quick: Config, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = {"config": quick, "disparity_range": RANGE, "device": "cpu"}
+    whole = method_of(quick).footprint(scene.layout, given(scene, quick), on_gpu=False).bytes(*scene.size)
+    free = whole - PROCESS - scene.views.nbytes
+    monkeypatch.setattr(footprint, "free_memory", lambda: free)
+    assert estimate_depth(scene, **options).notes == ()
+    KEPT.free()  # which would go on without a plan of its own
+    monkeypatch.setattr(footprint, "free_memory", lambda: free - 1)
+    found = estimate_depth(scene, **options)
+    assert " tiles of " in found.status
+    assert found.notes == (
+        f"The map was made in tiles: in one piece it takes about {whole / 2**30:.3g} GiB of memory, and there are "
+        f"{free / 2**30:.3g} GiB.",
+    )
+    expected = in_tiles(scene, quick, whole + scene.views.nbytes - 1)
+    np.testing.assert_array_equal(found.disparity, expected.disparity)
+    with pytest.raises(LightFieldError, match=r"A map in one piece takes about .* GiB: use fewer or smaller views"):
+        DepthPipeline(scene, **options)
+    monkeypatch.setattr(footprint, "free_memory", lambda: None)  # the system does not say
+    assert " tiles of " not in estimate_depth(scene, **options).status
 
 
 def test_patches_without_texture_are_those_found_in_one_piece() -> None:

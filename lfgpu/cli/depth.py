@@ -59,7 +59,7 @@ def depth(
         typer.Option(
             metavar="SIZE",
             help="Memory limit, such as 8GiB; larger light fields are estimated in tiles.",
-            show_default="no limit",
+            show_default="what is free",
         ),
     ] = None,
     reading: ReadingIncomplete,

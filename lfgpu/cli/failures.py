@@ -20,7 +20,7 @@ from lfgpu.printable import message, printable
 _FAILED, _INTERRUPTED = 1, 130  # 130: the exit code of shells after Ctrl-C
 _INTERRUPTION = "interrupted; outputs are whole or not there."
 _MEMORY = "out of memory; use fewer views (--views cross) or smaller ones."
-_DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross) or --device cpu."
+_DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross), --max-memory or --device cpu."
 
 _COMMAND = "lfgpu.command"
 _AGAIN = 0.2  # seconds after which Ctrl-C comes again that was lost

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
+from typing import Any
 
 from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import PresetName, configured
-from lfgpu.methods.footprint import parse_memory
+from lfgpu.methods.footprint import TooLittleMemory, parse_memory
 from lfgpu.pipelines.pipeline import Progress
 from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.tiles import estimate_in_tiles
@@ -57,10 +59,11 @@ def estimate_depth(
     max_memory
         Memory limit, as "8GiB", "500MB" or a number of bytes. It applies to the process on a CPU, and to each GPU.
         Light fields that do not fit are estimated in overlapping tiles, on all GPUs unless `device` names one. Read
-        large light fields with `lfgpu.read(..., lazy=True)`. Default None: no limit, and no tiles.
+        large light fields with `lfgpu.read(..., lazy=True)`. Default None: the memory that is free, or that of the GPU;
+        then a note tells of tiles.
     check_cameras
         Look, with the map, whether the cameras stand and look where they should. It takes a fraction of a second where
-        nothing can be wrong, and a few seconds else. With `max_memory` it looks at some of the views. Default True.
+        nothing can be wrong, and a few seconds else. With tiles it looks at some of the views. Default True.
     on_progress
         Called as on_progress(stage, iteration, value): with iteration 0 and value 0 when a stage begins, and after each
         iteration of those that have some: value is the root mean square step in pixels per view step (align), the
@@ -88,28 +91,26 @@ def estimate_depth(
     ((64, 80), 'float32')
     """
     check_light_field(lf)
-    if max_memory is not None:
+    options: dict[str, Any] = {
+        "config": configured(config, weights),
+        "disparity_range": disparity_range,
+        "backend": backend,
+        "device": device,
+        "deterministic": deterministic,
+        "on_progress": on_progress,
+    }
+    limit = None if max_memory is None else parse_memory(max_memory)
+    notes: tuple[str, ...] = ()
+    if limit is None:
+        try:
+            result = KEPT.estimate(lf, **options)
+        except TooLittleMemory as error:
+            limit = error.limit
+            notes = (f"The map was made in tiles: in one piece it takes about {error.sizes}.",)
+    if limit is not None:
         KEPT.free()
-        result = estimate_in_tiles(
-            lf,
-            config=configured(config, weights),
-            disparity_range=disparity_range,
-            backend=backend,
-            device=device,
-            deterministic=deterministic,
-            on_progress=on_progress,
-            max_memory=parse_memory(max_memory),
-        )
-    else:
-        result = KEPT.estimate(
-            lf,
-            disparity_range=disparity_range,
-            on_progress=on_progress,
-            config=configured(config, weights),
-            backend=backend,
-            device=device,
-            deterministic=deterministic,
-        )
+        result = estimate_in_tiles(lf, **options, max_memory=limit)
+        result = replace(result, notes=(*notes, *result.notes))
     return judged(
         lf,
         result,
@@ -117,5 +118,5 @@ def estimate_depth(
         backend=backend,
         device=result.device,
         check_cameras=check_cameras,
-        in_part=max_memory is not None,
+        in_part=limit is not None,
     )

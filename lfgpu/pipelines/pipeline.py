@@ -17,11 +17,13 @@ from lfgpu.contract import Array, Float32Array
 from lfgpu.data import interop
 from lfgpu.data.light_field_checks import check_scaled
 from lfgpu.data.lightfield import LightField, check_light_field
+from lfgpu.data.mapping import is_mapped
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
+from lfgpu.methods.footprint import check_memory
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.recycling import KeepingDevice, RecyclingDevice
 from lfgpu.pipelines.range_confirmation import confirm
@@ -106,7 +108,7 @@ class DepthPipeline:
         self._buffers = RecyclingDevice(place.kernels, place.name)
         self._measuring = KeepingDevice(place.kernels, place.name) if place.is_gpu else place  # a CPU allocates fast
         self._plan: Plan
-        self._bytes: int | None = None  # of its memory, about
+        self._bytes = 0  # of its memory, about
         self._graph: Callable[[], None] | None = None
         self._is_loaded = False  # whether the plan has run, which loads all kernels
         self._begin(lf, is_found=measured is None and disparity_range is None)
@@ -153,11 +155,7 @@ class DepthPipeline:
 
     def let_go(self) -> int:
         """Let go of the light field, until the pipeline takes another; returns the bytes that stay, about."""
-        lf = self._lf
         del self._lf
-        if self._bytes is None:
-            kept = self.method.footprint(lf.layout, self.measured, on_gpu=self._device.is_gpu)
-            self._bytes = kept.bytes(*lf.size) - kept.besides
         return self._bytes
 
     def _begin(self, lf: LightField, *, is_found: bool) -> None:
@@ -426,10 +424,13 @@ class DepthPipeline:
 
     def _replan(self, measured: Measured) -> None:
         self.measured = measured
-        self._bytes, self._graph, self._is_loaded = None, None, False
+        self._graph, self._is_loaded = None, False
         with suppress(AttributeError):
             del self._plan  # its memory first
         self._buffers.begin()
+        needed = self.method.footprint(self._layout, measured, on_gpu=self._device.is_gpu)
+        held = 0 if is_mapped(self._lf.views) else self._lf.views.nbytes
+        self._bytes = check_memory(needed, self._layout.size, self.device, held=held)
         self._plan = self.method.plan(self._layout, measured, self._buffers)
 
     @contextmanager
