@@ -44,20 +44,20 @@ class Footprint:
         return self.besides + int(_SLACK * (self.per_pixel * height * width + spare))
 
 
-class TooLittleMemory(LightFieldError):
+class TooLittleMemoryError(LightFieldError):
     """A whole map takes more memory than there is; within `limit` bytes, as of `max_memory`, tiles may fit."""
 
     def __init__(self, needed: int, there: int, limit: int) -> None:
         self.limit = limit
         self.sizes = f"{needed / 2**30:.3g} GiB of memory, and there are {there / 2**30:.3g} GiB"
         super().__init__(
-            f"A map in one piece takes about {self.sizes}: use fewer or smaller views or the preset fast, or make it in "
-            "tiles with estimate_depth (lfgpu depth)."
+            f"A map in one piece takes about {self.sizes}: use fewer or smaller views or the preset fast, or make it "
+            "in tiles with estimate_depth (lfgpu depth)."
         )
 
 
 def check_memory(needed: Footprint, size: tuple[int, int], device: str, *, held: int) -> int:
-    """Count the bytes of a plan for views of one size (height, width); TooLittleMemory if there are not so many.
+    """Count the bytes of a plan for views of one size (height, width); TooLittleMemoryError if there are not so many.
 
     `held` are the bytes of views that are in memory already. A CPU has what is free: systems hand out more, and end the
     process when it uses that. A GPU has its whole memory.
@@ -66,5 +66,5 @@ def check_memory(needed: Footprint, size: tuple[int, int], device: str, *, held:
     there = free_memory() if is_cpu else device_memory(device)
     taken = needed.besides + held if is_cpu else 0  # by this process, and not free
     if there is not None and whole - taken > there:
-        raise TooLittleMemory(whole, there, there + taken)
+        raise TooLittleMemoryError(whole, there, there + taken)
     return whole - needed.besides

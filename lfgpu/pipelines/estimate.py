@@ -11,7 +11,7 @@ from lfgpu.config import Config
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import PresetName, configured
-from lfgpu.methods.footprint import TooLittleMemory, parse_memory
+from lfgpu.methods.footprint import TooLittleMemoryError, parse_memory
 from lfgpu.pipelines.pipeline import Progress
 from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.tiles import estimate_in_tiles
@@ -104,7 +104,7 @@ def estimate_depth(
     if limit is None:
         try:
             result = KEPT.estimate(lf, **options)
-        except TooLittleMemory as error:
+        except TooLittleMemoryError as error:
             limit = error.limit
             notes = (f"The map was made in tiles: in one piece it takes about {error.sizes}.",)
     if limit is not None:
