@@ -127,7 +127,7 @@ def _seconds(found: Sequence[Record]) -> float | None:
 
 
 def _scene(errors: Mapping[str, float] | None) -> str:
-    return f"{errors['mse_100']:.2f} / {errors['badpix_07']:.1f} %" if errors else NONE
+    return f"{errors['mse_100']:.2f} / {errors['badpix_07']:.1f}" if errors else NONE
 
 
 # --- times ---
