@@ -26,7 +26,7 @@ from .residuals import residuals
 from .sectors import brightness, fold, sector_costs
 from .semi_global import semi_global
 from .smoothing import reduce_views, smooth_views
-from .splat import data_term, seen_by_reference, splat
+from .splat import data_term, seen_by_reference
 from .structure_tensor import keep_more_coherent, structure_tensor
 from .vector import axpby, clamp, copy, divide, dot, fill, multiply, ratio, select, threshold
 from .views import intensities, line_of_views, normalization

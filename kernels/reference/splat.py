@@ -57,15 +57,13 @@ def taps(disparity: Array, offset: Array, softness: float) -> Iterator[Tap]:
             yield Tap(inside, (y[inside], x[inside]), (weight_x * weight_y)[inside], slope[inside])
 
 
-def splat(
-    image: Array, disparity: Array, offsets: Array, *, softness: float, views_out: Array, coverage_out: Array
-) -> None:
-    views_out[:] = 0
-    coverage_out[:] = 0
-    for view, coverage, offset in zip(views_out, coverage_out, offsets, strict=True):
+def splat(image: Array, disparity: Array, offsets: Array, softness: float) -> Array:
+    """Predict views [n, y, x, c]."""
+    views = np.zeros((len(offsets), *image.shape))
+    for view, offset in zip(views, offsets, strict=True):
         for tap in taps(disparity, offset, softness):
             np.add.at(view, tap.target, tap.weight[:, None] * image[tap.inside])
-            np.add.at(coverage, tap.target, tap.weight)
+    return views
 
 
 def _gradient(image: Array, disparity: Array, residual: Array, offsets: Array, softness: float) -> Array:
@@ -77,20 +75,18 @@ def _gradient(image: Array, disparity: Array, residual: Array, offsets: Array, s
     return gradient
 
 
-class DataTerm:
+class _DataTerm:
     """The squared error of what a reference image predicts, and its gradient with respect to the disparity."""
 
-    def __init__(self, shape: Sequence[int], offsets: Array, scale: float, softness: float) -> None:
+    def __init__(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> None:
         self._offsets, self._scale, self._softness = offsets, scale, softness
-        self._residual, self._coverage = np.zeros(shape), np.zeros(shape[:3])
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
 
     def __call__(self, disparity: Array, gradient_out: Array, value_out: Array) -> None:
-        image, offsets, softness, residual = self._image, self._offsets, self._softness, self._residual
-        splat(image, disparity, offsets, softness=softness, views_out=residual, coverage_out=self._coverage)
-        residual -= self._scale * self._recorded
+        image, offsets, softness = self._image, self._offsets, self._softness
+        residual = splat(image, disparity, offsets, softness) - self._scale * self._recorded
         if self._valid is not None:
             residual[self._valid == 0] = 0
         gradient_out[:] = 2 * _gradient(image, disparity, residual, offsets, softness)
@@ -100,8 +96,7 @@ class DataTerm:
         curvature_out[:] = 2 * (self._offsets**2).sum() * (self._image**2).sum(-1)
 
 
-def data_term(shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
-    return DataTerm(shape, offsets, scale, softness)
+data_term = _DataTerm
 
 
 def seen_by_reference(

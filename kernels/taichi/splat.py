@@ -1,4 +1,4 @@
-"""The forward splat, the data term that is made of it, and what the reference sees of other views.
+"""The data term, and what the reference sees of other views.
 
 A GPU gives a channel of some pixels above each other a thread, so that neighbours add to neighbouring numbers, and what
 lands on the same place adds up atomically. On a CPU, where atomics cost several times as much, a view belongs to one
@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from .landing import inside, land, nearest, share_of_view, tasks_of_view, tent, tent_slope, within
-from .memory import DeviceArray, clear, empty, flat, numpy, optional
+from .landing import inside, land, nearest, tent, tent_slope, within
+from .memory import DeviceArray, empty, flat, numpy, optional
 from .runtime import TASK, double, on_cpu, once, run
 from .sums import BLOCK, PARTS, add_up, share, summing
 
@@ -22,7 +22,7 @@ _ROWS = 8  # of a column, which a thread of a GPU adds one after the other: what
 
 
 @once
-def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
+def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     """Return the kernels for pixels of `channels` values; recorded views are of scalar type `stored`."""
     real, sums = double(), summing()
     field, image_type, stored_image = flat(), flat(channels=channels), flat(stored, channels)
@@ -30,10 +30,7 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
 
     @ti.func
     def add(target: ti.template(), i: int, value):
-        if ti.static(cpu):
-            target[i] = target[i] + value
-        else:
-            ti.atomic_add(target[i], value)
+        target[i] = target[i] + value  # `+=` would be atomic
 
     @ti.func
     def give(target: ti.template(), first: int, to, height: int, width: int, w00, w01, w10, w11):
@@ -140,54 +137,34 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
     ):
         for i in range(views_out.shape[0]):
             views_out[i] = pixel(0.0)
-        if ti.static(cpu):
-            for task in range(offsets.shape[0] // 2 * TASK):
-                n, first, end = share_of_view(task, height * width, cpu)
-                for p in range(first, end):
-                    give_color(image, disparity, offsets, n, p, height, width, softness, n * height * width, views_out)
-        else:
-            strips = (height + _ROWS - 1) // _ROWS
-            for i in range(offsets.shape[0] // 2 * strips * width * channels):
-                n = i // (strips * width * channels)
-                top = i // (width * channels) % strips * _ROWS
-                x = i // channels % width
-                c = i % channels
-                # What the pixel before gives to the two places below it.
-                left = 0.0
-                right = 0.0
-                at_x = 0
-                at_y = -1
-                for y in range(top, ti.min(top + _ROWS, height)):
-                    p = y * width + x
-                    to = land(x, y, disparity[p], offsets[2 * n], offsets[2 * n + 1])
-                    wx = tent(to.ax, softness)
-                    wy = tent(to.ay, softness)
-                    if to.x != at_x or to.y != at_y:
-                        give_two(views_out, n, at_x, at_y, c, height, width, left, right)
-                        left = 0.0
-                        right = 0.0
-                    value = image[p][c] * wx
-                    beside = image[p][c] * (1.0 - wx)
-                    give_two(views_out, n, to.x, to.y, c, height, width, left + value * wy, right + beside * wy)
-                    left = value * (1.0 - wy)
-                    right = beside * (1.0 - wy)
-                    at_x = to.x
-                    at_y = to.y + 1
-                give_two(views_out, n, at_x, at_y, c, height, width, left, right)
-
-    @ti.kernel
-    def coverage_kernel(
-        disparity: field, offsets: field, softness: float, height: int, width: int, coverage_out: field
-    ):
-        size = height * width
-        for task in range(offsets.shape[0] // 2 * tasks_of_view(size, cpu)):
-            n, first, end = share_of_view(task, size, cpu)
-            for p in range(first, end):
-                to = land(p % width, p // width, disparity[p], offsets[2 * n], offsets[2 * n + 1])
+        strips = (height + _ROWS - 1) // _ROWS
+        for i in range(offsets.shape[0] // 2 * strips * width * channels):
+            n = i // (strips * width * channels)
+            top = i // (width * channels) % strips * _ROWS
+            x = i // channels % width
+            c = i % channels
+            # What the pixel before gives to the two places below it.
+            left = 0.0
+            right = 0.0
+            at_x = 0
+            at_y = -1
+            for y in range(top, ti.min(top + _ROWS, height)):
+                p = y * width + x
+                to = land(x, y, disparity[p], offsets[2 * n], offsets[2 * n + 1])
                 wx = tent(to.ax, softness)
                 wy = tent(to.ay, softness)
-                a, b, c, d = wx * wy, (1 - wx) * wy, wx * (1 - wy), (1 - wx) * (1 - wy)
-                give(coverage_out, n * size, to, height, width, a, b, c, d)
+                if to.x != at_x or to.y != at_y:
+                    give_two(views_out, n, at_x, at_y, c, height, width, left, right)
+                    left = 0.0
+                    right = 0.0
+                value = image[p][c] * wx
+                beside = image[p][c] * (1.0 - wx)
+                give_two(views_out, n, to.x, to.y, c, height, width, left + value * wy, right + beside * wy)
+                left = value * (1.0 - wy)
+                right = beside * (1.0 - wy)
+                at_x = to.x
+                at_y = to.y + 1
+            give_two(views_out, n, at_x, at_y, c, height, width, left, right)
 
     @ti.kernel
     def compare_kernel(
@@ -304,26 +281,11 @@ def _kernels(channels: int, stored: Any, cpu: bool) -> SimpleNamespace:
 
     return SimpleNamespace(
         splat=splat_kernel,
-        coverage=coverage_kernel,
         compare=compare_kernel,
         slice=slice_kernel,
         total=total_kernel,
         curvature=curvature_kernel,
     )
-
-
-def splat(
-    image: DeviceArray,
-    disparity: DeviceArray,
-    offsets: DeviceArray,
-    *,
-    softness: float,
-    views_out: DeviceArray,
-    coverage_out: DeviceArray,
-) -> None:
-    kernels = _kernels(image.channels, ti.f32, on_cpu())
-    run(kernels.splat, image, disparity, offsets, softness, *image.shape, views_out)
-    run(kernels.coverage, disparity, offsets, softness, *image.shape, clear(coverage_out))
 
 
 class _DataTerm:
@@ -341,7 +303,7 @@ class _DataTerm:
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, optional(valid)
-        self._kernels = _kernels(self._channels, recorded.scalar, self._cpu)
+        self._kernels = _kernels(self._channels, recorded.scalar)
 
     def __call__(self, disparity: DeviceArray, gradient_out: DeviceArray, value_out: DeviceArray) -> None:
         kernels, size = self._kernels, disparity.shape

@@ -78,11 +78,6 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             wp.atomic_add(image, n, y, x, value)
 
     @wp.func
-    def add_weight(weights: wp.array3d(dtype=float), n: int, y: int, x: int, value: float):
-        if x >= 0 and x < weights.shape[2] and y >= 0 and y < weights.shape[1]:
-            wp.atomic_add(weights, n, y, x, value)
-
-    @wp.func
     def at(image: wp.array3d(dtype=pixel), n: int, y: int, x: int) -> pixel:
         value = pixel()
         if x >= 0 and x < image.shape[2] and y >= 0 and y < image.shape[1]:
@@ -116,25 +111,6 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                 add(views_out, n, to.y, to.x + 1, right * wy)
                 add(views_out, n, to.y + 1, to.x, left * (1.0 - wy))
                 add(views_out, n, to.y + 1, to.x + 1, right * (1.0 - wy))
-
-    @wp.kernel(module=module, enable_backward=False)
-    def coverage_kernel(
-        disparity: wp.array2d(dtype=float),
-        offsets: wp.array(dtype=wp.vec2f),
-        softness: float,
-        lanes: int,
-        coverage_out: wp.array3d(dtype=float),
-    ):
-        n, y, lane = wp.tid()
-        offset = offsets[n]
-        for x in range(lane, disparity.shape[1], lanes):
-            to = land(x, y, disparity[y, x], offset)
-            wx = tent(to.ax, softness)
-            wy = tent(to.ay, softness)
-            add_weight(coverage_out, n, to.y, to.x, wx * wy)
-            add_weight(coverage_out, n, to.y, to.x + 1, (1.0 - wx) * wy)
-            add_weight(coverage_out, n, to.y + 1, to.x, wx * (1.0 - wy))
-            add_weight(coverage_out, n, to.y + 1, to.x + 1, (1.0 - wx) * (1.0 - wy))
 
     @wp.kernel(module=module, enable_backward=False)
     def vjp_kernel(
@@ -223,34 +199,14 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     return SimpleNamespace(
         total=total_kernel,
         splat=splat_kernel,
-        coverage=coverage_kernel,
         vjp=vjp_kernel,
         residual=residual_kernel,
     )
 
 
-def _for_image(image: Any) -> SimpleNamespace:
-    return _kernels(image.dtype._length_, wp.float32)
-
-
 def as_offsets(offsets: Any) -> Any:
     """Return a field [n, 2] as an array of vectors, without a copy."""
     return offsets.view(wp.vec2f)
-
-
-def splat(image: Any, disparity: Any, offsets: Any, *, softness: float, views_out: Any, coverage_out: Any) -> None:
-    kernels, threads, pairs, device = _for_image(image), lanes(image), as_offsets(offsets), image.device
-    load(device, kernels.splat)
-
-    def some_views(_: int, first: int, last: int) -> None:
-        views, coverage, some = views_out[first:last], coverage_out[first:last], pairs[first:last]
-        views.zero_()
-        coverage.zero_()
-        dim = (last - first, image.shape[0], threads)
-        launch(kernels.splat, dim, [image, disparity, some, softness, threads], [views], device=device)
-        launch(kernels.coverage, dim, [disparity, some, softness, threads], [coverage], device=device)
-
-    in_slices(device, views_out.shape[0], some_views)
 
 
 @wp.kernel

@@ -1,4 +1,4 @@
-"""The forward model of a light field: the splat, with and without occlusions, and its squared error."""
+"""The forward model of a light field: the squared error of the splat, and the splat with occlusions."""
 
 from collections.abc import Sequence
 from typing import Protocol
@@ -42,18 +42,6 @@ class Synthesis(Protocol):
     The plain splat is L(d) = A(d) I: L(x, y) = sum_p I(p) Λ(x - x_p + d du) Λ(y - y_p + d dv).
     """
 
-    def splat(
-        self,
-        image: Array,
-        disparity: Array,
-        offsets: Array,
-        *,
-        softness: float,
-        views_out: Array,
-        coverage_out: Array,
-    ) -> None:
-        """Views [n, y, x, c] predicted from the reference image [y, x, c], and the weight [n, y, x] that landed."""
-
     def data_term(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> DataTerm:
         """Plan ||A(d) I - scale * recorded||^2 and its gradient for recorded views of `shape` [n, y, x, c]."""
 
@@ -80,7 +68,7 @@ class Synthesis(Protocol):
         views_out: Array,
         coverage_out: Array,
     ) -> None:
-        """Views [n, y, x, c] as means of what lands on a pixel, the nearer the more, and the coverage of `splat`.
+        """Views [n, y, x, c] as means of what lands on a pixel, the nearer the more, and the coverage.
 
         Let T_p(q) = Λ(x - x_p + d_p du) Λ(y - y_p + d_p dv) be what pixel p of the reference image [y, x, c] gives to
         pixel q = (x, y) of a view, and let p reach q if T_p(q) > 1e-20. Over all p that reach q,

@@ -111,19 +111,6 @@ def seen_inputs(case: SplatCase, rng: np.random.Generator) -> SimpleNamespace:
     return i
 
 
-def splat(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = {"views": desk.image_out(i.views.shape), "coverage": desk.out(i.views.shape[:3])}
-    desk.kernels.splat(
-        desk.image(i.image),
-        desk.field(i.disparity),
-        desk.field(i.offsets),
-        softness=i.softness,
-        views_out=out["views"],
-        coverage_out=out["coverage"],
-    )
-    return out
-
-
 def data_term(desk: Desk, i: SimpleNamespace) -> Outputs:
     """The value and the gradient after another light field was loaded and compared, which leaves no trace."""
     plan = desk.kernels.data_term(i.recorded.shape, desk.field(i.offsets), scale=i.scale, softness=i.softness)
@@ -149,7 +136,6 @@ def seen_by_reference(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
-SPLAT = Operation(splat, "splat")
 DATA_TERM = Operation(data_term, "splat", relative_to_terms(gradient=lambda i: size(i.image, i.offsets)))
 SEEN_BY_REFERENCE = Operation(seen_by_reference, "seen")
-OPERATIONS = (SPLAT, DATA_TERM, SEEN_BY_REFERENCE)
+OPERATIONS = (DATA_TERM, SEEN_BY_REFERENCE)

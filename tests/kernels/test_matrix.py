@@ -83,7 +83,7 @@ FAMILIES = (
     streaming_checks,
 )
 OPERATIONS = tuple(operation for family in FAMILIES for operation in family.OPERATIONS)
-UNORDERED = ("splat", "splat_z_buffered")
+UNORDERED = ("splat_z_buffered",)
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
 CELLS = [
