@@ -15,6 +15,8 @@ from walls import wall
 
 import lfgpu
 from lfgpu import scenes
+from lfgpu._backends import open_device
+from lfgpu.cameras.points import visible
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.data.views_result import ViewsResult
@@ -192,6 +194,22 @@ def test_all_in_focus_has_less_noise_and_stays_sharp() -> None:
         lfgpu.all_in_focus(noisy.with_reference(0), result)
     with pytest.raises(LightFieldError, match="the map must be 80 x 96 as the views"):
         lfgpu.all_in_focus(noisy, lfgpu.DisparityMap(np.zeros((3, 3), np.float32)))
+
+
+@pytest.mark.parametrize("slope", [-0.4, 0.0, 0.2, 0.45])
+@pytest.mark.parametrize("offset", [-1.0, 1.0])
+def test_a_surface_hides_what_lands_behind_it_and_nothing_of_itself(slope: float, offset: float) -> None:
+    y, x = np.indices((5, 60))
+    disparity = (slope * (x - 30) + 0.013).astype(np.float32)
+    near = (x >= 25) & (x < 35) & (slope == 0)  # whole pixels nearer than the wall
+    disparity[near] = 4.013
+    tolerance = 1.001 * abs(slope) / abs(1 - slope * offset) + 0.1
+    offsets = np.array([[0.0, 0.0], [offset, 0.0]])
+    front, seen = visible(disparity, offsets, y, x, open_device("reference"), tolerance=tolerance)
+    assert front.all()
+    place = x - disparity * offset
+    covered = np.isin(np.round(place), np.round(place[0, near[0]])) & ~near
+    np.testing.assert_array_equal(seen, (place >= 0) & (place <= 59) & ~covered)
 
 
 def test_all_in_focus_where_the_map_or_the_view_knows_nothing() -> None:

@@ -1,4 +1,4 @@
-"""The splat with occlusions, and what other views see: NumPy, float64, one view at a time.
+"""The splat with occlusions: NumPy, float64, one view at a time.
 
 Where several pixels land on one, the nearest shall be seen. A soft z-buffer takes the mean of their colours, weighted
 by exp(sharpness * disparity) besides the tent: differentiable, and independent of how many land there. Weights are
@@ -60,16 +60,3 @@ def splat_z_buffered(
 ) -> None:
     for view, coverage, offset in zip(views_out, coverage_out, offsets, strict=True):
         view[:], coverage[:] = _blend(image, disparity, offset, softness, sharpness)
-
-
-def visible(disparity: Array, offsets: Array, *, tolerance: float, visible_out: Array) -> None:
-    height, width = disparity.shape
-    rows, columns = np.mgrid[:height, :width]
-    for visible, (du, dv) in zip(visible_out, offsets, strict=True):
-        found = reaching_taps(disparity, np.array([du, dv]), 0.5)  # whatever the softness, the same pixels are reached
-        front = nearest(disparity, found)
-        free = np.zeros(disparity.shape, np.bool_)
-        for tap in found:
-            free[tap.inside] |= front[tap.target] <= disparity[tap.inside] + tolerance
-        x, y = columns - disparity * du, rows - disparity * dv
-        visible[:] = free & (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)

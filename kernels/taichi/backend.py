@@ -16,7 +16,7 @@ from .measuring import quantile, window_grain
 from .memory import clear, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
-from .occlusion import splat_z_buffered, visible
+from .occlusion import splat_z_buffered
 from .peak import judge_peak, peak
 from .plane_sweep import plane_sweep
 from .range_search import agreeing_disparity, details, distinct_minimum, shrink, side_costs

@@ -1,22 +1,21 @@
-"""The splat with occlusions and what other views see, as `kernels/reference/occlusion.py` defines them.
+"""The splat with occlusions, as `kernels/reference/occlusion.py` defines it.
 
 A view is made in two passes over the reference pixels, first the z-buffer, then sums relative to it. A pixel of the
-sums is its weighted colours, their weight and the coverage. `splat_z_buffered` allocates 24 bytes for each pixel of
-three channels of all its views, `visible` 4 bytes, and both give it back. On a CPU a view belongs to one thread, which
-needs no atomics.
+sums is its weighted colours, their weight and the coverage. On a CPU a view belongs to one thread, which needs no
+atomics.
 """
 
 from types import SimpleNamespace
+from typing import Any
 
 import taichi as ti
 
-from .landing import foot, land, share_of_view, tasks_of_view, within
+from .landing import foot, land, share_of_view, tasks_of_view
 from .memory import DeviceArray, clear, flat, scratch
 from .runtime import on_cpu, once, run
 
 _LEAST_WEIGHT = 1e-20
 _NOWHERE = -3e38  # the disparity of what is not there
-_ANY_SOFTNESS = 0.5  # whatever it is, the same pixels are reached
 
 
 @ti.func
@@ -32,8 +31,7 @@ def sides(a: float, first: int, size: int, softness: float):
 
 
 @once
-def _z_kernels(cpu: bool) -> SimpleNamespace:
-    """Compute the z-buffer and what is made of it alone."""
+def _nearest_kernel(cpu: bool) -> Any:
     field = flat()
 
     @ti.kernel
@@ -63,41 +61,7 @@ def _z_kernels(cpu: bool) -> SimpleNamespace:
                         else:
                             ti.atomic_max(nearest_out[i], d)
 
-    @ti.kernel
-    def visible_kernel(
-        disparity: field,
-        offsets: field,
-        nearest: field,
-        softness: float,
-        tolerance: float,
-        height: int,
-        width: int,
-        visible_out: field,
-    ):
-        size = height * width
-        for i in range(visible_out.shape[0]):
-            n = i // size
-            p = i - n * size
-            d = disparity[p]
-            to = land(p % width, p // width, d, offsets[2 * n], offsets[2 * n + 1])
-            free = 0.0
-            if within(to.x, to.ax, width) and within(to.y, to.ay, height):
-                columns = sides(to.ax, to.x, width, softness)
-                rows = sides(to.ay, to.y, height, softness)
-                for k in ti.static(range(4)):
-                    if columns[k % 2] * rows[k // 2] > _LEAST_WEIGHT:
-                        if nearest[n * size + (to.y + k // 2) * width + to.x + k % 2] <= d + tolerance:
-                            free = 1.0
-            visible_out[i] = free
-
-    return SimpleNamespace(nearest=nearest_kernel, visible=visible_kernel)
-
-
-def visible(disparity: DeviceArray, offsets: DeviceArray, *, tolerance: float, visible_out: DeviceArray) -> None:
-    kernels, size = _z_kernels(on_cpu()), disparity.shape
-    nearest = scratch(visible_out, visible_out.shape)
-    run(kernels.nearest, disparity, offsets, _ANY_SOFTNESS, *size, nearest)
-    run(kernels.visible, disparity, offsets, nearest, _ANY_SOFTNESS, tolerance, *size, visible_out)
+    return nearest_kernel
 
 
 @once
@@ -172,6 +136,6 @@ def splat_z_buffered(
     kernels = _splat_kernels(image.channels, cpu)
     nearest = scratch(coverage_out, coverage_out.shape)
     sums = clear(scratch(coverage_out, coverage_out.shape, channels=image.channels + 2))
-    run(_z_kernels(cpu).nearest, disparity, offsets, softness, *size, nearest)
+    run(_nearest_kernel(cpu), disparity, offsets, softness, *size, nearest)
     run(kernels.sums, image, disparity, offsets, nearest, softness, sharpness, *size, sums)
     run(kernels.means, sums, views_out, coverage_out)

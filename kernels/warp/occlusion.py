@@ -1,8 +1,8 @@
-"""The splat with occlusions and what other views see, as `kernels/reference/occlusion.py` defines them.
+"""The splat with occlusions, as `kernels/reference/occlusion.py` defines it.
 
 A view is made in two passes over the reference pixels, first the z-buffer, then sums relative to it. A pixel of the
-sums is its weighted colours, their weight and the coverage. `splat_z_buffered` allocates 24 bytes for each pixel of
-three channels of all its views, `visible` 4 bytes, and both give it back.
+sums is its weighted colours, their weight and the coverage. The operation allocates 24 bytes for each pixel of three
+channels of all its views, and gives them back.
 """
 
 from types import SimpleNamespace
@@ -16,7 +16,6 @@ from .threads import in_slices, lanes, launch, load, once
 
 _LEAST_WEIGHT = wp.constant(1e-20)
 _NOWHERE = wp.constant(-3e38)  # the disparity of what is not there
-_ANY_SOFTNESS = 0.5  # whatever it is, the same pixels are reached
 
 
 @wp.struct
@@ -25,8 +24,6 @@ class Taps:
 
     x: wp.int32
     y: wp.int32
-    ax: wp.float32
-    ay: wp.float32
     columns: wp.vec2f
     rows: wp.vec2f
 
@@ -49,8 +46,6 @@ def taps(x: int, y: int, height: int, width: int, disparity: float, offset: wp.v
     result = Taps()
     result.x = to.x
     result.y = to.y
-    result.ax = to.ax
-    result.ay = to.ay
     result.columns = wp.vec2f(left, right)
     result.rows = wp.vec2f(upper, lower)
     return result
@@ -71,33 +66,6 @@ def _nearest_kernel(
         for k in range(4):
             if to.columns[k % 2] * to.rows[k / 2] > _LEAST_WEIGHT:
                 wp.atomic_max(nearest_out, n, to.y + k / 2, to.x + k % 2, d)
-
-
-@wp.kernel(enable_backward=False)
-def _visible_kernel(
-    disparity: wp.array2d(dtype=float),
-    offsets: wp.array(dtype=wp.vec2f),
-    nearest: wp.array3d(dtype=float),
-    softness: float,
-    tolerance: float,
-    lanes: int,
-    visible_out: wp.array3d(dtype=float),
-):
-    n, y, lane = wp.tid()
-    height = disparity.shape[0]
-    width = disparity.shape[1]
-    for x in range(lane, width, lanes):
-        d = disparity[y, x]
-        to = taps(x, y, height, width, d, offsets[n], softness)
-        within_x = to.x >= 0 and (to.x < width - 1 or (to.x == width - 1 and to.ax == 0.0))
-        within_y = to.y >= 0 and (to.y < height - 1 or (to.y == height - 1 and to.ay == 0.0))
-        free = float(0.0)
-        if within_x and within_y:
-            for k in range(4):
-                reached = to.columns[k % 2] * to.rows[k / 2] > _LEAST_WEIGHT
-                if reached and nearest[n, to.y + k / 2, to.x + k % 2] <= d + tolerance:
-                    free = 1.0
-        visible_out[n, y, x] = free
 
 
 @once
@@ -189,18 +157,3 @@ def splat_z_buffered(
         launch(kernels.means, dim, [sums, threads], [views, coverage], device=device)
 
     in_slices(device, len(views_out), some_views)
-
-
-def visible(disparity: Any, offsets: Any, *, tolerance: float, visible_out: Any) -> None:
-    threads, pairs, device = lanes(disparity), as_offsets(offsets), disparity.device
-    load(device, _nearest_kernel)
-
-    def some_views(_: int, first: int, last: int) -> None:
-        some = pairs[first:last]
-        nearest = wp.empty((last - first, *disparity.shape), dtype=float, device=device)
-        _find_nearest(disparity, some, _ANY_SOFTNESS, nearest)
-        inputs = [disparity, some, nearest, _ANY_SOFTNESS, tolerance, threads]
-        dim = (last - first, disparity.shape[0], threads)
-        launch(_visible_kernel, dim, inputs, [visible_out[first:last]], device=device)
-
-    in_slices(device, len(visible_out), some_views)

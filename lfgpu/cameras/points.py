@@ -59,14 +59,35 @@ def choose_points(lf: LightField, disparity: NDArray[np.floating], device: Devic
     `disparity` [y, x] is the map of the reference view; NaN where it is unknown, and no point is chosen there.
     """
     map_, y, x, tile = on_surfaces(lf, disparity, most)
-    visible = np.empty((len(lf.views), len(y)), np.float32)
-    field = device.field(map_)
-    for first in range(0, len(lf.views), _AT_ONCE):
-        offsets = lf.offsets[first : first + _AT_ONCE]
-        seen = device.zeros((len(offsets), *lf.size))
-        device.kernels.visible(field, device.field(offsets), tolerance=_TOLERANCE / farthest(lf), visible_out=seen)
-        visible[first : first + _AT_ONCE] = device.kernels.numpy(seen)[:, y, x]
-    return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), visible, tile)
+    seen = visible(map_, lf.offsets, y, x, device, tolerance=_TOLERANCE / farthest(lf)).astype(np.float32)
+    return Points(x.astype(np.float64), y.astype(np.float64), map_[y, x].astype(np.float64), seen, tile)
+
+
+def visible(
+    map_: NDArray[np.float32],
+    offsets: NDArray[np.floating],
+    y: NDArray[np.intp],
+    x: NDArray[np.intp],
+    device: Device,
+    *,
+    tolerance: float,
+) -> NDArray[np.bool_]:
+    """Tell which views, at `offsets` [n, 2], see pixels of a map, in rows `y` and columns `x` of any shape: [n, ..].
+
+    A pixel is hidden by what is nearer by more than `tolerance`, pixels per view step, and lands on the same pixel.
+    """
+    height, width = map_.shape
+    field, d, seen = device.field(map_), map_[y, x], []
+    nearest, find = device.zeros((_AT_ONCE, height, width)), device.kernels.z_buffer(map_.shape, device.name, reach=0)
+    for first in range(0, len(offsets), _AT_ONCE):
+        some = offsets[first : first + _AT_ONCE].astype(np.float32)
+        find(field, device.field(some), nearest, reach=0)
+        for (du, dv), surface in zip(some, device.kernels.numpy(nearest), strict=False):
+            across, down = x - d * du, y - d * dv
+            inside = (across >= 0) & (across <= width - 1) & (down >= 0) & (down <= height - 1)
+            row, column = (np.floor(np.where(inside, place, 0) + 0.5).astype(np.intp) for place in (down, across))
+            seen.append(inside & (d >= surface[row, column] - tolerance))
+    return np.array(seen)
 
 
 def on_surfaces(

@@ -75,17 +75,3 @@ class Synthesis(Protocol):
         L(q) = sum_p T_p w_p I_p / sum_p T_p w_p with w_p = exp(`sharpness` (d_p - max_p d_p)), and 0 where none does.
         The coverage [n, y, x] is sum_p T_p. `sharpness` is in view steps per pixel, >= 0: at 0, L is the plain mean.
         """
-
-    def visible(self, disparity: Array, offsets: Array, *, tolerance: float, visible_out: Array) -> None:
-        """1 where a pixel p of the reference is seen in view n, else 0: a field [n, y, x] over p.
-
-        With D(q) the largest disparity of all pixels that reach q (|x - x_p + d_p du| < 1 and |y - y_p + d_p dv| < 1),
-        p is seen if it lands in the frame, 0 <= x_p - d_p du <= width - 1 and 0 <= y_p - d_p dv <= height - 1, and if
-        any of the up to four pixels q of the frame that it reaches has D(q) <= d_p + `tolerance` (pixels per view step,
-        >= 0).
-
-        Any, as one free pixel is enough to be seen by: so what hides p ends where the hiding surface ends, up to half a
-        pixel either way. What lies beside p on its own surface hides nothing as long as `tolerance` is larger than what
-        the disparity changes by over one pixel of the view, that is |g| / |1 - g o| for a change of g per pixel along
-        an offset o. Through surfaces that are stretched more than twice, what is behind them shines.
-        """

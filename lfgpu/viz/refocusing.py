@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
+from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.cameras.looking import checked_map
+from lfgpu.cameras.points import visible
 from lfgpu.contract import Float32Array
 from lfgpu.data.layout import farthest
 from lfgpu.data.light_field_checks import check_number
@@ -117,27 +118,20 @@ def all_in_focus(
     check_light_field(lf)
     _check_order(order)
     disparity = checked_map(lf, result)
-    kernels = load(backend)
-    place = pick_device(kernels, device)
+    place = open_device(backend, device)
     known = np.isfinite(disparity)
     disparity = np.where(known, disparity, np.float32(0))
-    with kernels.asking(place):
-        visible = kernels.zeros(lf.views.shape[:3], place)
-        kernels.visible(
-            kernels.field(disparity, place),
-            kernels.field(lf.offsets, place),
-            tolerance=_HIDDEN / farthest(lf.offsets),
-            visible_out=visible,
-        )
-        seen = kernels.numpy(visible).astype(np.float32)
+    rows, columns = np.indices(lf.size)
+    with place.asking():
+        seen = visible(disparity, lf.offsets, rows, columns, place, tolerance=_HIDDEN / farthest(lf.offsets))
     reference = lf.image(lf.reference_index)
     trusted = np.ones(known.shape, np.bool_) if lf.valid is None else lf.valid[lf.reference_index]
-    y, x = np.mgrid[: lf.size[0], : lf.size[1]].astype(np.float32)
+    y, x = rows.astype(np.float32), columns.astype(np.float32)
     total, weights = np.zeros_like(reference), np.zeros(known.shape, np.float32)
     for n, sees in enumerate(seen):
         du, dv = lf.offsets[n].astype(np.float32)
         at = np.stack([y - disparity * dv, x - disparity * du])
-        weight = np.where(known, sees, np.float32(n == lf.reference_index))
+        weight = np.where(known, sees, n == lf.reference_index).astype(np.float32)
         if lf.valid is not None:
             weight = weight * valid_at(lf.valid[n], at)
         picture = np.moveaxis(lf.image(n), 2, 0) if order == LINEAR else spline(lf.image(n))

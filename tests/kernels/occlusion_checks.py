@@ -6,10 +6,7 @@ from types import SimpleNamespace
 import checks
 import numpy as np
 import splat_checks
-from checks import Desk, Operation, Outputs, Values
-
-TOLERANCE = 0.25 + 2.0**-13
-"""Of what is seen; between the numbers that disparities are, which are whole multiples of 2⁻¹⁰."""
+from checks import Desk, Operation, Outputs
 
 
 @dataclass(frozen=True)
@@ -47,12 +44,8 @@ OCCLUSION_CASES = (
 def occlusion_inputs(case: OcclusionCase, rng: np.random.Generator) -> SimpleNamespace:
     """Random inputs of all operations with occlusions."""
     i = splat_checks.splat_inputs(case, rng)
-    i.sharpness, i.tolerance, i.exact = case.sharpness, TOLERANCE, case.exact
+    i.sharpness = case.sharpness
     return i
-
-
-CLEAR = 1e-4
-"""Pixels: what is decided by less is left out of comparisons."""
 
 
 def splat_z_buffered(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -69,46 +62,5 @@ def splat_z_buffered(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
-def visible(desk: Desk, i: SimpleNamespace) -> Outputs:
-    out = desk.out(i.recorded.shape[:3])
-    desk.kernels.visible(desk.field(i.disparity), desk.field(i.offsets), tolerance=i.tolerance, visible_out=out)
-    return {"visible": out}
-
-
-# --- what is seen, pixel by pixel against pixel: slow, and independent of all backends ---
-
-
-def seen(i: SimpleNamespace, slack: float = 0.0) -> Values:
-    """What `visible` says, [n, y, x], where every decision favours being seen by `slack`."""
-    height, width = i.disparity.shape
-    d = i.disparity.astype(np.float64).ravel()
-    rows, columns = (place.ravel() for place in np.mgrid[:height, :width])
-    found = []
-    for du, dv in i.offsets.astype(np.float64):
-        x, y = columns - d * du, rows - d * dv
-        # [p, q]: how far the landing place of p is from the centre of q
-        distance = np.maximum(np.abs(x[:, None] - columns), np.abs(y[:, None] - rows))
-        nearest = np.where(distance < 1 - slack, d[:, None], -np.inf).max(0)
-        free = ((distance < 1 + slack) & (nearest <= d[:, None] + i.tolerance + slack)).any(1)
-        in_x, in_y = ((a >= -slack) & (a <= side - 1 + slack) for a, side in ((x, width), (y, height)))
-        found.append((free & in_x & in_y).reshape(height, width))
-    return np.array(found)
-
-
-def undecided(i: SimpleNamespace) -> Values:
-    """Where a change by `CLEAR` of any place or of the tolerance may decide what is seen."""
-    return seen(i, CLEAR) != seen(i, -CLEAR)
-
-
-def visible_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
-    """The share of pixels that differ; but for inputs that are not exact in float32, of those that are decided."""
-    differs = got["visible"] != want["visible"]
-    if not i.exact:
-        doubtful = undecided(i)
-        assert doubtful.mean() < 0.05, "too much is undecided: the check says little"
-        differs = differs[~doubtful]
-    return {"visible": float(differs.mean())}
-
-
-OPERATIONS = (Operation(splat_z_buffered, "occlusion"), Operation(visible, "occlusion", visible_errors))
-SPLAT, VISIBLE = OPERATIONS
+SPLAT = Operation(splat_z_buffered, "occlusion")
+OPERATIONS = (SPLAT,)

@@ -156,37 +156,6 @@ def test_splat_occluding_is_the_formula(case: OcclusionCase, rng: np.random.Gene
     np.testing.assert_allclose(got["coverage"][n], coverage, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("case", SMALL_OCCLUSIONS, ids=str)
-def test_visible_is_what_comparing_every_two_pixels_says(case: OcclusionCase, rng: np.random.Generator) -> None:
-    i = occlusion_inputs(case, rng)
-    got, want = run(occlusion_checks.VISIBLE, i)["visible"], occlusion_checks.seen(i)
-    decided = np.ones(got.shape, np.bool_) if case.exact else ~occlusion_checks.undecided(i)
-    assert decided.mean() > 0.95
-    np.testing.assert_array_equal(got[decided], want[decided])
-
-
-def seen_of_a_slanted_plane(slope: float, offset: float, tolerance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the seen part of a plane of that slope, and the part that lands in the frame."""
-    x = np.mgrid[:5, :60][1].astype(float)
-    disparity, offsets, seen = slope * (x - 30) + 0.013, np.array([[offset, 0.0]]), np.empty((1, 5, 60))
-    REFERENCE.visible(disparity, offsets, tolerance=tolerance, visible_out=seen)
-    place = x - disparity * offset
-    return seen[0] != 0, (place >= 0) & (place <= 59)
-
-
-@pytest.mark.parametrize("slope", [-0.4, 0.2, 0.45])
-@pytest.mark.parametrize("offset", [-1.0, 1.0])
-def test_a_slanted_plane_hides_nothing_of_itself(slope: float, offset: float) -> None:
-    """As long as the tolerance is what `lfgpu/contract` says."""
-    tolerance = 1.001 * abs(slope) / abs(1 - slope * offset)
-    np.testing.assert_array_equal(*seen_of_a_slanted_plane(slope, offset, tolerance))
-
-
-def test_without_tolerance_a_slanted_plane_hides_parts_of_itself() -> None:
-    seen, there = seen_of_a_slanted_plane(0.45, 1.0, 0.0)
-    assert (there & ~seen).any()
-
-
 SMALL_VOLUMES = [case for case in VOLUME_CASES if math.prod(case.size) * case.count <= 1000]
 
 
