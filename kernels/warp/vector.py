@@ -23,20 +23,6 @@ def value_of(number: float, scalar: wp.array(dtype=wp.float64)) -> float:
 
 
 @wp.kernel
-def _axpby_kernel(
-    alpha: float,
-    alpha_scalar: wp.array(dtype=wp.float64),
-    x: wp.array(dtype=float),
-    beta: float,
-    beta_scalar: wp.array(dtype=wp.float64),
-    y: wp.array(dtype=float),
-    y_out: wp.array(dtype=float),
-):
-    i = wp.tid()
-    y_out[i] = value_of(alpha, alpha_scalar) * x[i] + value_of(beta, beta_scalar) * y[i]
-
-
-@wp.kernel
 def _axpby_scalar_kernel(
     alpha: wp.float64,
     x: wp.array(dtype=wp.float64),
@@ -45,56 +31,6 @@ def _axpby_scalar_kernel(
     y_out: wp.array(dtype=wp.float64),
 ):
     y_out[0] = alpha * x[0] + beta * y[0]
-
-
-@wp.kernel
-def _multiply_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), product_out: wp.array(dtype=float)):
-    i = wp.tid()
-    product_out[i] = x[i] * y[i]
-
-
-@wp.kernel
-def _divide_kernel(x: wp.array(dtype=float), y: wp.array(dtype=float), quotient_out: wp.array(dtype=float)):
-    i = wp.tid()
-    quotient = float(0.0)
-    if y[i] != 0.0:
-        quotient = x[i] / y[i]
-    quotient_out[i] = quotient
-
-
-@wp.kernel
-def _fill_kernel(value: float, scalar: wp.array(dtype=wp.float64), x_out: wp.array(dtype=float)):
-    x_out[wp.tid()] = value_of(value, scalar)
-
-
-@wp.kernel
-def _choose_kernel(
-    condition: wp.array(dtype=float),
-    x: wp.array(dtype=float),
-    y: wp.array(dtype=float),
-    chosen_out: wp.array(dtype=float),
-):
-    i = wp.tid()
-    chosen_out[i] = wp.where(condition[i] > 0.0, x[i], y[i])
-
-
-@wp.kernel
-def _at_least_kernel(x: wp.array(dtype=float), threshold: float, x_out: wp.array(dtype=float)):
-    i = wp.tid()
-    x_out[i] = wp.where(x[i] >= threshold, x[i], 0.0)
-
-
-@wp.kernel
-def _clamp_kernel(
-    low: float,
-    low_scalar: wp.array(dtype=wp.float64),
-    x: wp.array(dtype=float),
-    high: float,
-    high_scalar: wp.array(dtype=wp.float64),
-    x_out: wp.array(dtype=float),
-):
-    i = wp.tid()
-    x_out[i] = wp.clamp(x[i], value_of(low, low_scalar), value_of(high, high_scalar))
 
 
 @wp.kernel
@@ -137,9 +73,9 @@ def _dot_on_cpu_kernel() -> Any:
 
 
 @once
-def _cpu_kernel(name: str, each: str) -> Any:
-    """result[i] = `each`, made of numbers a and b and of fields xs[i] and ys[i]."""
-    return kernel("vector.h", "for_each", module=f"lfgpu_vector_cpu_{name}", EACH=each)
+def _each_kernel(name: str, each: str) -> Any:
+    """result[i] = `each`, made of numbers a and b and of fields xs[i], ys[i] and zs[i]."""
+    return kernel("vector.h", "for_each", module=f"lfgpu_vector_{name}", EACH=each)
 
 
 @once
@@ -168,48 +104,33 @@ def copy(source: Any, target_out: Any) -> None:
 
 def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
     if y_out.dtype is wp.float64:
-        _launch(_axpby_scalar_kernel, [alpha, x, beta, y], y_out)
+        launch(_axpby_scalar_kernel, 1, [alpha, x, beta, y], [y_out], device=y_out.device)
         return
-    inputs = [*given(alpha), flat(x), *given(beta), flat(y)]
-    if y_out.device.is_cpu:
-        _launch_for_each("axpby", "a * xs[i] + b * ys[i]", inputs, y_out)
-    else:
-        _launch(_axpby_kernel, inputs, y_out)
+    _for_each("axpby", "a * xs[i] + b * ys[i]", y_out, x, y, a=alpha, b=beta)
 
 
 def multiply(x: Any, y: Any, product_out: Any) -> None:
-    if product_out.device.is_cpu:
-        _launch_for_each("multiply", "xs[i] * ys[i]", [0.0, None, flat(x), 0.0, None, flat(y)], product_out)
-    else:
-        _launch(_multiply_kernel, [flat(x), flat(y)], product_out)
+    _for_each("multiply", "xs[i] * ys[i]", product_out, x, y)
 
 
 def divide(x: Any, y: Any, quotient_out: Any) -> None:
-    if quotient_out.device.is_cpu:
-        each, inputs = "ys[i] != 0.f ? xs[i] / ys[i] : 0.f", [0.0, None, flat(x), 0.0, None, flat(y)]
-        _launch_for_each("divide", each, inputs, quotient_out)
-    else:
-        _launch(_divide_kernel, [flat(x), flat(y)], quotient_out)
+    _for_each("divide", "ys[i] != 0.f ? xs[i] / ys[i] : 0.f", quotient_out, x, y)
 
 
 def fill(value: Any, x_out: Any) -> None:
-    _launch(_fill_kernel, [*given(value)], x_out)
+    _for_each("fill", "a", x_out, x_out, a=value)
 
 
 def select(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
-    _launch(_choose_kernel, [flat(condition), flat(x), flat(y)], chosen_out)
+    _for_each("select", "xs[i] > 0.f ? ys[i] : zs[i]", chosen_out, condition, x, y)
 
 
 def threshold(x: Any, threshold: float, x_out: Any) -> None:
-    _launch(_at_least_kernel, [flat(x), threshold], x_out)
+    _for_each("threshold", "xs[i] >= a ? xs[i] : 0.f", x_out, x, a=threshold)
 
 
 def clamp(x: Any, low: Any, high: Any, x_out: Any) -> None:
-    inputs = [*given(low), flat(x), *given(high)]
-    if x_out.device.is_cpu:
-        _launch_for_each("clamp", "wp::clamp(xs[i], a, b)", [*inputs, flat(x)], x_out)
-    else:
-        _launch(_clamp_kernel, inputs, x_out)
+    _for_each("clamp", "wp::clamp(xs[i], a, b)", x_out, x, a=low, b=high)
 
 
 def given(value: Any) -> tuple[float, Any]:
@@ -217,9 +138,11 @@ def given(value: Any) -> tuple[float, Any]:
     return (0.0, value) if isinstance(value, wp.array) else (float(value), None)
 
 
-def _launch(kernel: Any, inputs: list[Any], result_out: Any) -> None:
-    launch(kernel, result_out.size, inputs, [flat(result_out)], device=result_out.device)
-
-
-def _launch_for_each(name: str, each: str, inputs: list[Any], result_out: Any) -> None:
-    launch(_cpu_kernel(name, each), 1, inputs, [flat(result_out)], device=result_out.device)
+def _for_each(
+    name: str, each: str, result_out: Any, x: Any, y: Any = None, z: Any = None, *, a: Any = 0, b: Any = 0
+) -> None:
+    """Write `each`; a CPU does it in one go, a GPU has a thread for each number."""
+    fields = [flat(x), None if y is None else flat(y), None if z is None else flat(z)]
+    many = result_out.size if result_out.device.is_cpu else 1
+    inputs = [*given(a), *given(b), many, *fields]
+    launch(_each_kernel(name, each), result_out.size // many, inputs, [flat(result_out)], device=result_out.device)

@@ -39,6 +39,7 @@ from lfgpu.kernels.warp import (  # noqa: E402
     sectors,
     semi_global,
     smoothing,
+    vector,
     views,
     z_buffer,
 )
@@ -65,6 +66,7 @@ def gpu_kernels() -> Iterator[Any]:
     yield [cost_volume._pixels_kernel(2), cost_volume._add_kernel()]
     yield [cost_volume._minimum_kernel(name, 1) for name in ("find_least", "find_lowest")]
     yield [edges._kernel(3, 2, False), confidence._line_mean_kernel()]
+    yield vector._each_kernel("axpby", "a * xs[i] + b * ys[i]")
     yield [nlm._tile_kernel(1, 1), nlm._gpu_operator("laplacian", "(here - other)", 0.0, 2)]
     yield [nlm_regression._gpu_kernel(name, 2) for name in ("divide_sums", "fit_planes")]
     yield [semi_global._step_costs_kernel(3), semi_global._path_kernel(2), semi_global._turn_kernel()]

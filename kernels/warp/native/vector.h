@@ -1,4 +1,4 @@
-// What a solver does with fields, on a CPU: one thread goes through all numbers, and vector units have many at a time.
+// What a solver does with fields. On a CPU one thread goes through all numbers, and vector units have many at a time.
 #pragma once
 #include "lfgpu.h"
 
@@ -18,17 +18,17 @@ void dot(Array1<float> x, Array1<float> y, Array1<double> product_out) {
     product_out.data[0] = dot_of(x.data, y.data, x.shape[0]);
 }
 
-// Write EACH, which is made of numbers a and b and of fields xs[i] and ys[i].
+// Write EACH, which is made of numbers a and b and of fields xs[i], ys[i] and zs[i], to the `many` places of a thread.
 void for_each(
-    float alpha, Array1<double> alphas, Array1<float> x, float beta, Array1<double> betas, Array1<float> y,
+    int tid, Number a, Number b, int many, Array1<float> x, Array1<float> y, Array1<float> z,
     Array1<float> result_out) {
     #pragma clang fp contract(off)
-    const size_t size = result_out.shape[0];
-    const float a = alphas.data ? (float)alphas.data[0] : alpha, b = betas.data ? (float)betas.data[0] : beta;
+    const size_t first = (size_t)tid * many, last = first + many;
     const float* const xs = x.data;
     const float* const ys = y.data;
+    const float* const zs = z.data;
     #pragma clang loop vectorize(assume_safety)
-    for (size_t i = 0; i < size; ++i) result_out.data[i] = EACH;
+    for (size_t i = first; i < last; ++i) result_out.data[i] = EACH;
 }
 
 // Inner products of rows of the stack of L-BFGS with the new step, the new difference and the projected gradient.
