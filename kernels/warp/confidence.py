@@ -9,7 +9,7 @@ from typing import Any
 import warp as wp
 
 from .native_code import kernel
-from .threads import in_slices, launch, launch_rows, load, once, slices
+from .threads import launch_rows, launch_slices, once, room_for
 from .vector import given, value_of
 
 wp.set_module_options({"enable_backward": False})
@@ -183,18 +183,12 @@ def line_mean(values: Any, *, axis: int, reach: int, means_out: Any) -> None:
 
 
 def unevenness(disparity: Any, *, bend_out: Any, relief_out: Any) -> None:
-    (height, width), device = disparity.shape, disparity.device
-    if not device.is_cpu:
+    if not disparity.device.is_cpu:
         launch_rows(_unevenness_kernel, [disparity], bend_out, relief_out)
         return
-    find = _cpu_kernel("find_unevenness")
-    load(device, find)
-    room = wp.empty((len(slices(device, height)), 5 * (width + 2 * _AROUND)), dtype=float, device=device)
-
-    def some_rows(part: int, first: int, last: int) -> None:
-        launch(find, 1, [disparity, first, last, room[part]], [bend_out, relief_out], device=device)
-
-    in_slices(device, height, some_rows)
+    (height, width), find = disparity.shape, _cpu_kernel("find_unevenness")
+    room = room_for(disparity.device, height, 5 * (width + 2 * _AROUND))
+    launch_slices(find, height, [disparity], bend_out, relief_out, room=room)
 
 
 def judge(

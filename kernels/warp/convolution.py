@@ -9,7 +9,7 @@ from lfgpu.contract import Float32Array
 
 from .memory import pixel_type, start
 from .native_code import c_type, kernel
-from .threads import check_size, in_slices, launch, load, once, with_wide_vectors
+from .threads import check_size, launch, launch_slices, once, with_wide_vectors
 
 _LANES = 16  # channels of the output that a CPU computes side by side
 _WARPS = 4  # of a block of a GPU
@@ -120,13 +120,8 @@ class _Convolution:
         if not self._device.is_cpu:
             self._on_gpu(kind, [volume, self._weights, self._bias, added], out)
             return
-        convolve = _kernel("convolve_rows", *kind)
-        load(self._device, convolve)
-
-        def some_rows(_: int, first: int, last: int) -> None:
-            launch(convolve, 1, [volume, self._weights, self._bias, added, first, last], [out], device="cpu")
-
-        in_slices(self._device, labels * out.shape[1], some_rows)
+        inputs = [volume, self._weights, self._bias, added]
+        launch_slices(_kernel("convolve_rows", *kind), labels * out.shape[1], inputs, out)
 
     def _on_gpu(self, kind: tuple[Any, ...], inputs: list[Any], out: Any) -> None:
         labels, rows, columns = out.shape

@@ -2,12 +2,10 @@
 
 from typing import Any
 
-import warp as wp
-
 from lfgpu.contract import REDUCTION
 
 from .native_code import kernel
-from .threads import in_slices, launch, launch_rows, load, once, slices
+from .threads import launch, launch_rows, launch_slices, once, room_for
 from .vector import given
 
 _BLOCK = 32  # columns that a CPU works on at a time
@@ -47,14 +45,8 @@ def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> 
         average = _pixels_kernel(window // 2)
         launch(average, dim, [weights, volume], [average_out], device=device, block_dim=block)
         return
-    average = _rows_kernel(window // 2)
-    load(device, average)
-    room = wp.empty((len(slices(device, height)), window * window * _BLOCK), dtype=float, device=device)
-
-    def some_rows(part: int, first: int, last: int) -> None:
-        launch(average, 1, [weights, volume, first, last, room[part]], [average_out], device=device)
-
-    in_slices(device, height, some_rows)
+    room = room_for(device, height, window * window * _BLOCK)
+    launch_slices(_rows_kernel(window // 2), height, [weights, volume], average_out, room=room)
 
 
 def add_reduced(reduced: Any, shares: Any, *, weight: float, volume_inout: Any) -> None:

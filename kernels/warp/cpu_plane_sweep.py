@@ -7,7 +7,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import once, with_wide_vectors
+from .threads import in_slices, launch, load, once, with_wide_vectors
 
 _STRIP = 16  # rows of sums that stay in the cache
 LANES = 128  # of a chunk: its columns, and one at either side for differences
@@ -34,6 +34,16 @@ def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
     types = {"Stored": stored_pixel, "Kept": kept}
     keep = kernel("plane_sweep.h", "keep_view", module=module, **types, CHANNELS=channels)
     return SimpleNamespace(views=keep, image=image_kernel)
+
+
+def keep_views(kernel: Any, recorded: Any, margin: int, views_out: Any) -> None:
+    """Copy views [n, y, x] with a margin at their left, by `loading_kernels(..).views`."""
+    load(recorded.device, kernel)
+
+    def some_views(_: int, first: int, last: int) -> None:
+        launch(kernel, last - first, [recorded[first:last], margin], [views_out[first:last]], device="cpu")
+
+    in_slices(recorded.device, len(recorded), some_views)
 
 
 @once

@@ -10,7 +10,7 @@ from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH
 
 from .memory import pixel_type
 from .native_code import c_type, kernel
-from .threads import in_slices, launch, launch_rows, load, once, with_wide_vectors
+from .threads import launch, launch_rows, launch_slices, once, with_wide_vectors
 
 _LEAST_ODDS, _LEAST_WIDTH = wp.constant(LEAST_ODDS), wp.constant(LEAST_WIDTH)
 _Weights = wp.types.vector(length=3, dtype=float)
@@ -35,13 +35,7 @@ def peak(logits: Any, first: Any, *, step: float, disparity_out: Any, probabilit
     if not logits.device.is_cpu:
         launch(_pixel_kernel(stored), first.size, [logits, first, step], outputs, device=logits.device)
         return
-    find = _rows_kernel(stored)
-    load(logits.device, find)
-
-    def some_rows(_: int, begin: int, end: int) -> None:
-        launch(find, 1, [logits, first, step, begin, end], outputs, device="cpu")
-
-    in_slices(logits.device, logits.shape[1], some_rows)
+    launch_slices(_rows_kernel(stored), logits.shape[1], [logits, first, step], *outputs)
 
 
 @wp.kernel

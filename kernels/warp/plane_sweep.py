@@ -16,7 +16,7 @@ from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
 from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
-from .threads import flat, in_slices, launch, load, slices
+from .threads import flat, launch, launch_slices, room_for
 from .vector import given
 from .views import indices
 
@@ -71,13 +71,7 @@ class _PlaneSweep:
             launch(self._pack, recorded.size, inputs, [flat(self._views)], device=self._device)
             return
         self._valid = valid
-        load(self._device, self._loading.views)
-
-        def some_views(_: int, first: int, last: int) -> None:
-            some, kept = recorded[first:last], self._views[first:last]
-            launch(self._loading.views, last - first, [some, self._margin], [kept], device="cpu")
-
-        in_slices(self._device, len(recorded), some_views)
+        cpu_plane_sweep.keep_views(self._loading.views, recorded, self._margin, self._views)
         launch(self._loading.image, image.shape, [image, self._scale], [self._image], device="cpu")
 
     def _prepare(self, stored: Any) -> None:
@@ -95,8 +89,7 @@ class _PlaneSweep:
         kept = cpu_plane_sweep.kept_type(stored)
         self._views = wp.empty((n, channels, height, width + more), dtype=kept, device="cpu")
         self._image = wp.zeros((channels, height, width + cpu_plane_sweep.LANES), dtype=float, device="cpu")
-        size = cpu_plane_sweep.room_of(channels, self._groups)
-        self._room = wp.empty((len(slices(self._device, height)), size), dtype=float, device="cpu")
+        self._room = room_for(self._device, height, cpu_plane_sweep.room_of(channels, self._groups))
 
     def by_view_sets(self, cost: SweepCost, volume_out: Any) -> None:
         self._sweep(None, self._members, (self._groups, self._view_sets), 1.0, cost, volume_out)
@@ -132,13 +125,7 @@ class _PlaneSweep:
         views = [self._views, self._margin, self._image, self._valid, nearest]
         planned = [self._order, members, groups, self._shifts, self._deepest, sets]
         kernel = cpu_plane_sweep.sweep_kernel(channels, self._views.dtype, gradients, rooted, _PENALTY)
-        load(self._device, kernel)
-
-        def some_rows(k: int, first: int, last: int) -> None:
-            inputs = [*views, *planned, *numbers, least, first, last, self._room[k]]
-            launch(kernel, 1, inputs, [volume_out], device="cpu")
-
-        in_slices(self._device, height, some_rows)
+        launch_slices(kernel, height, [*views, *planned, *numbers, least], volume_out, room=self._room)
 
     def _mark_surface(self, nearest: Any) -> None:
         if self._marks is None:

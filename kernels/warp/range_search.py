@@ -26,21 +26,6 @@ def _block(device: Any) -> int:
     return _BLOCK if device.is_cpu else 1
 
 
-def _launch_lines(work: Any, inputs: list[Any], rows: int, width: int, *outputs: Any) -> None:
-    """Launch work(*inputs, row, lanes, *outputs) over some rows of `width` pixels: thread i has the row
-    row + i / lanes, and there blocks of columns, every lanes-th from i % lanes on.
-    """
-    device = outputs[0].device
-    lanes = 1 if device.is_cpu else width
-    check_size(rows * lanes)
-    load(device, work)
-
-    def some_rows(_: int, first: int, last: int) -> None:
-        launch(work, (last - first) * lanes, [*inputs, first, lanes], list(outputs), device=device)
-
-    in_slices(device, rows, some_rows)
-
-
 @once
 def _shrink_kernel(channels: int, stored: Any, block: int) -> Any:
     module, types = f"lfgpu_shrink_{channels}_{stored.__name__}_{block}", {"Stored": pixel_type(channels, stored)}
@@ -56,8 +41,8 @@ def _kernel(name: str, block: int) -> Any:
 def shrink(views: Any, chosen: Sequence[int], valid: Any, *, scale: float, factor: int, images_out: Any) -> None:
     work = _shrink_kernel(views.dtype._length_, views.dtype._wp_scalar_type_, _block(views.device))
     line = indices(tuple(int(index) for index in chosen), views.device.alias)
-    count, height, width = images_out.shape
-    _launch_lines(work, [views, line, valid, scale, factor], count * height, width, images_out)
+    count, height, _ = images_out.shape
+    launch_rows(work, [views, line, valid, scale, factor], images_out, rows=count * height)
 
 
 def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> Details:
@@ -70,10 +55,10 @@ def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> D
 
     def evaluate(images: Any, details_out: Any) -> None:
         if factor > 1:
-            _launch_lines(again, [images, factor], n * height, width, smaller)
+            launch_rows(again, [images, factor], smaller, rows=n * height)
             images = smaller
-        _launch_lines(add, [images, window], n * height, width, sums)
-        _launch_lines(subtract, [images, sums, window], n * height, width, details_out)
+        launch_rows(add, [images, window], sums, rows=n * height)
+        launch_rows(subtract, [images, sums, window], details_out, rows=n * height)
 
     return evaluate
 

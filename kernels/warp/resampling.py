@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from .memory import pixel_type
-from .threads import check_size, in_slices, lanes, launch, load, once
+from .threads import launch_rows, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -30,18 +30,18 @@ def _kernel(channels: int, stored: Any) -> Any:
         places: wp.array4d(dtype=float),
         tones: wp.array3d(dtype=float),
         white: float,
+        row: int,
         lanes: int,
         views_out: wp.array3d(dtype=stored_pixel),
     ):
         i = wp.tid()
-        lane = i % lanes
-        n = i / lanes / views_out.shape[1]
-        y = i / lanes - n * views_out.shape[1]
+        n = (row + i / lanes) / views_out.shape[1]
+        y = row + i / lanes - n * views_out.shape[1]
         height = pictures.shape[1]
         width = pictures.shape[2]
         right = float(width - 1)
         bottom = float(height - 1)
-        for x in range(lane, views_out.shape[2], lanes):
+        for x in range(i % lanes, views_out.shape[2], lanes):
             out = stored_pixel()
             px = places[n, y, x, 0]
             py = places[n, y, x, 1]
@@ -76,14 +76,6 @@ def _kernel(channels: int, stored: Any) -> Any:
 
 
 def resample(pictures: Any, places: Any, tones: Any, *, white: float, views_out: Any) -> None:
-    device, threads = views_out.device, lanes(views_out)
     kernel = _kernel(views_out.dtype._length_, views_out.dtype._wp_scalar_type_)
-    load(device, kernel)
-
-    def some_views(_: int, first: int, last: int) -> None:
-        rows = (last - first) * views_out.shape[1] * threads
-        check_size(rows)
-        inputs = [pictures[first:last], places[first:last], tones[first:last], white, threads]
-        launch(kernel, rows, inputs, [views_out[first:last]], device=device)
-
-    in_slices(device, views_out.shape[0], some_views)
+    rows = views_out.shape[0] * views_out.shape[1]
+    launch_rows(kernel, [pictures, places, tones, white], views_out, rows=rows)

@@ -8,12 +8,12 @@ import warp as wp
 
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
 
-from .cpu_plane_sweep import kept_type, loading_kernels
+from .cpu_plane_sweep import keep_views, kept_type, loading_kernels
 from .gpu_plane_sweep import kept_type as gpu_kept_type
 from .gpu_plane_sweep import pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
-from .threads import check_size, flat, in_slices, launch, load, once, with_wide_vectors
+from .threads import check_size, flat, launch, launch_slices, once, with_wide_vectors
 from .vector import dot
 
 _MORE = 17  # columns of views that nothing reads: rows of all views would share few places of a cache
@@ -72,13 +72,7 @@ class _SectorCosts:
             inputs = [flat(recorded), None if valid is None else flat(valid)]
             launch(pack_kernel(channels, stored), recorded.size, inputs, [flat(self._views)], device=self._device)
             return
-        keep = loading_kernels(channels, stored).views
-        load(self._device, keep)
-
-        def some_views(_: int, first: int, last: int) -> None:
-            launch(keep, last - first, [recorded[first:last], 0], [self._views[first:last]], device="cpu")
-
-        in_slices(self._device, n, some_views)
+        keep_views(loading_kernels(channels, stored).views, recorded, 0, self._views)
 
     def __call__(self, first: Any, factor: Any, costs_out: Any, *, step: float, label: int) -> None:
         kind = self._shape[-1], self._stored, costs_out.dtype._wp_scalar_type_
@@ -90,14 +84,8 @@ class _SectorCosts:
             inputs = [self._views, self._image, *planned]
             launch(_gpu_costs_kernel(*kind), threads, inputs, [costs_out], device=self._device, block_dim=_BLOCK)
             return
-        find = _costs_kernel(*kind)
-        load(self._device, find)
-
-        def some_rows(_: int, begin: int, end: int) -> None:
-            inputs = [self._views, self._image, self._valid, *planned, begin, end]
-            launch(find, 1, inputs, [costs_out], device="cpu")
-
-        in_slices(self._device, costs_out.shape[0] * costs_out.shape[1], some_rows)
+        inputs = [self._views, self._image, self._valid, *planned]
+        launch_slices(_costs_kernel(*kind), costs_out.shape[0] * costs_out.shape[1], inputs, costs_out)
 
 
 sector_costs = _SectorCosts

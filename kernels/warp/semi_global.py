@@ -11,7 +11,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, in_slices, is_preparing, launch, load, once, slices, with_wide_vectors
+from .threads import check_size, is_preparing, launch, launch_slices, once, room_for, with_wide_vectors
 from .vector import given
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
@@ -67,16 +67,10 @@ def semi_global(
 
 def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) -> None:
     (count, height, width), device = sum_out.shape, sum_out.device
-    follow = _blocks_kernel(channels)
-    load(device, follow)
     paths = width + abs(dx) * (height - 1) if dy else height
     blocks = -(-paths // _BLOCK)
-    room = wp.empty((len(slices(device, blocks)), (count + 1 + count * _CHUNK) * _BLOCK), dtype=float, device=device)
-
-    def some_blocks(part: int, first: int, last: int) -> None:
-        launch(follow, 1, [*inputs, first, last, room[part]], [sum_out], device=device)
-
-    in_slices(device, blocks, some_blocks)
+    room = room_for(device, blocks, (count + 1 + count * _CHUNK) * _BLOCK)
+    launch_slices(_blocks_kernel(channels), blocks, inputs, sum_out, room=room)
 
 
 def _on_gpu(volume: Any, inputs: list[Any], sum_out: Any) -> None:

@@ -12,7 +12,7 @@ from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, in_slices, lanes, launch, load, once, slices
+from .threads import check_size, launch, launch_rows, launch_slices, once, room_for
 from .vector import given
 
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
@@ -65,27 +65,13 @@ def smooth_views(views: Any, valid: Any, *, scale: float, deviation: Any, views_
         inputs = [views, valid, scale, *given(deviation)]
         launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=_THREADS)
         return
-    rows = _rows_kernel(channels, stored)
-    load(device, rows)
     wide = width + 2 * (SMOOTHING_REACH + 1) + _LANES
-    per_slice = (_RING * (2 * channels + 2) + 1) * wide
-    room = wp.zeros((len(slices(device, n * height)), per_slice), dtype=float, device=device)
-
-    def some_rows(part: int, first: int, last: int) -> None:
-        inputs = [views, valid, scale, *given(deviation), first, last, room[part]]
-        launch(rows, 1, inputs, [views_out], device=device)
-
-    in_slices(device, n * height, some_rows)
+    room = room_for(device, n * height, (_RING * (2 * channels + 2) + 1) * wide)
+    room.zero_()
+    inputs = [views, valid, scale, *given(deviation)]
+    launch_slices(_rows_kernel(channels, stored), n * height, inputs, views_out, room=room)
 
 
 def reduce_views(views: Any, valid: Any, *, scale: float, views_out: Any, valid_out: Any) -> None:
-    reduce, device = _reduce_kernel(views.dtype._length_, views.dtype._wp_scalar_type_), views.device
-    load(device, reduce)
-    rows, threads = views_out.shape[0] * views_out.shape[1], lanes(views_out)
-    check_size(rows * threads)
-
-    def some_rows(_: int, first: int, last: int) -> None:
-        inputs = [views, valid, scale, first, threads]
-        launch(reduce, (last - first) * threads, inputs, [views_out, valid_out], device=device)
-
-    in_slices(device, rows, some_rows)
+    reduce, rows = _reduce_kernel(views.dtype._length_, views.dtype._wp_scalar_type_), math.prod(views_out.shape[:2])
+    launch_rows(reduce, [views, valid, scale], views_out, valid_out, rows=rows)

@@ -10,7 +10,7 @@ from lfgpu.contract import DataTerm
 
 from .gpu_data_term import GpuDataTerm, curvature, curvature_factor
 from .memory import pixel_type
-from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
+from .threads import in_slices, launch, launch_rows, load, once, slices
 
 
 @wp.func
@@ -215,16 +215,16 @@ def _seen_kernel(
     offsets: wp.array(dtype=wp.vec2f),
     known: wp.array2d(dtype=float),
     valid: wp.array3d(dtype=float),
+    row: int,
     lanes: int,
     seen_out: wp.array3d(dtype=float),
 ):
     i = wp.tid()
     height = disparity.shape[0]
     width = disparity.shape[1]
-    lane = i % lanes
-    n = i / lanes / height
-    y = i / lanes - n * height
-    for x in range(lane, width, lanes):
+    n = (row + i / lanes) / height
+    y = row + i / lanes - n * height
+    for x in range(i % lanes, width, lanes):
         from_x = float(x) + disparity[y, x] * offsets[n][0]
         from_y = float(y) + disparity[y, x] * offsets[n][1]
         seen = from_x >= 0.0 and from_x <= float(width - 1) and from_y >= 0.0 and from_y <= float(height - 1)
@@ -236,17 +236,8 @@ def _seen_kernel(
 
 
 def seen_by_reference(disparity: Any, offsets: Any, known: Any, valid: Any, *, seen_out: Any) -> None:
-    threads, pairs, device = lanes(disparity), as_offsets(offsets), disparity.device
-    load(device, _seen_kernel)
-
-    def some_views(_: int, first: int, last: int) -> None:
-        mask = None if valid is None else valid[first:last]
-        inputs = [disparity, pairs[first:last], known, mask, threads]
-        dim = (last - first) * disparity.shape[0] * threads
-        check_size(dim)
-        launch(_seen_kernel, dim, inputs, [seen_out[first:last]], device=device)
-
-    in_slices(device, seen_out.shape[0], some_views)
+    inputs, rows = [disparity, as_offsets(offsets), known, valid], seen_out.shape[0] * seen_out.shape[1]
+    launch_rows(_seen_kernel, inputs, seen_out, rows=rows)
 
 
 class _CpuDataTerm:

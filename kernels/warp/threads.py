@@ -218,14 +218,15 @@ def slices(device: Any, count: int) -> list[tuple[int, int]]:
     return [(count * k // parts, count * (k + 1) // parts) for k in range(parts)]
 
 
-def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = False) -> None:
+def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, rows: int | None = None, light: bool = False) -> None:
     """Launch kernel(*inputs, row, lanes, *outputs) over rows of outputs [.., y, x], in slices of them from `row` on.
 
     Thread i has y = row + i / lanes and lane = i % lanes; kernels work that out themselves, in 32 bits, as the 64 bits
-    of launches in two dimensions cost a GPU more than what some kernels do. What is `light` work for each pixel stays
-    on one thread of a CPU unless there are many pixels.
+    of launches in two dimensions cost a GPU more than what some kernels do. There are y `rows`, or as many as given.
+    What is `light` work for each pixel stays on one thread of a CPU unless there are many pixels.
     """
-    device, height, threads = outputs[0].device, outputs[0].shape[-2], lanes(outputs[0])
+    device, threads = outputs[0].device, lanes(outputs[0])
+    height = outputs[0].shape[-2] if rows is None else rows
     check_size(height * threads)
     load(device, kernel)
 
@@ -236,6 +237,26 @@ def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, light: bool = Fal
         some_rows(0, 0, height)
     else:
         in_slices(device, height, some_rows)
+
+
+def room_for(device: Any, count: int, floats: int) -> Any:
+    """Return memory for so many floats in each slice of range(count)."""
+    return wp.empty((len(slices(device, count)), floats), dtype=float, device=device)
+
+
+def launch_slices(kernel: Any, count: int, inputs: list[Any], *outputs: Any, room: Any = None) -> None:
+    """Launch kernel(*inputs, first, last, *outputs) for each slice of range(count), on a thread of a CPU.
+
+    Behind `last` a kernel that needs some has the slice's part of the `room`.
+    """
+    device = outputs[0].device
+    load(device, kernel)
+
+    def some(part: int, first: int, last: int) -> None:
+        more = [first, last] if room is None else [first, last, room[part]]
+        launch(kernel, 1, [*inputs, *more], list(outputs), device=device)
+
+    in_slices(device, count, some)
 
 
 def launch(
