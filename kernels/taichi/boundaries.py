@@ -6,8 +6,8 @@ import taichi as ti
 
 from lfgpu.contract import REACH
 
-from .memory import DeviceArray, flat
-from .runtime import once, run
+from .memory import flat, operation
+from .runtime import once
 
 _SPREAD = 3.0  # pixels²: how fast neighbours count less with their distance
 _BESIDE = 1e-3  # what a pixel counts that may itself be a mixture
@@ -113,14 +113,4 @@ def _unmix_kernel(channels: int) -> Any:
     return unmix_kernel
 
 
-def refine_boundaries(
-    image: DeviceArray,
-    disparity: DeviceArray,
-    *,
-    step: float,
-    contrast: float,
-    share: float,
-    disparity_out: DeviceArray,
-) -> None:
-    kernel = _unmix_kernel(image.channels)
-    run(kernel, image, disparity, *disparity.shape, step, contrast, share, disparity_out)
+refine_boundaries = operation(_unmix_kernel, "channels")

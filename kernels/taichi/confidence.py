@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import taichi as ti
 
-from .memory import DeviceArray, flat
+from .memory import DeviceArray, flat, operation
 from .runtime import run
 
 _SHARPNESS = 2.0
@@ -18,8 +18,9 @@ _LEAST_BEND = 1e-3
 _LEAST_RELIEF = 0.01
 
 
+@operation
 @ti.kernel
-def _evidence_kernel(
+def evidence(
     volume: flat(),
     path_costs: flat(),
     step: float,
@@ -44,14 +45,15 @@ def _evidence_kernel(
         cost_out[p] = ti.log(ti.max(least / unit, _LEAST_COST))
 
 
+@operation
 @ti.kernel
-def _line_mean_kernel(values: flat(), height: int, width: int, down: int, across: int, reach: int, means_out: flat()):
+def line_mean(values: flat(), axis: int, reach: int, height: int, width: int, means_out: flat()):
     for p in range(means_out.shape[0]):
         total = 0.0
         count = 0.0
         for k in range(-reach, reach + 1):
-            x = p % width + k * across
-            y = p // width + k * down
+            x = p % width + k * axis
+            y = p // width + k * (1 - axis)
             if y >= 0 and y < height and x >= 0 and x < width:
                 total += values[y * width + x]
                 count += 1.0
@@ -63,8 +65,9 @@ def _at(disparity: ti.template(), y: int, x: int, height: int, width: int):
     return disparity[ti.min(ti.max(y, 0), height - 1) * width + ti.min(ti.max(x, 0), width - 1)]
 
 
+@operation
 @ti.kernel
-def _unevenness_kernel(disparity: flat(), height: int, width: int, bend_out: flat(), relief_out: flat()):
+def unevenness(disparity: flat(), height: int, width: int, bend_out: flat(), relief_out: flat()):
     for p in range(bend_out.shape[0]):
         x = p % width
         y = p // width
@@ -107,27 +110,6 @@ def _judge_kernel(
         alike = 1.0 / (1.0 + (ti.exp(cost[p]) / _MOST_COST) ** _UNLIKE)
         confidence_out[p] = alike * (1.0 - unknown) / (1.0 + ti.exp(-share.dot(features)))
         variance_out[p] = (1.0 - unknown) * ti.exp(spread.dot(features)) + unknown * span * span / 12.0
-
-
-def evidence(
-    volume: DeviceArray,
-    path_costs: DeviceArray,
-    *,
-    step: float,
-    unit: float,
-    conflict_out: DeviceArray,
-    evidence_out: DeviceArray,
-    cost_out: DeviceArray,
-) -> None:
-    run(_evidence_kernel, volume, path_costs, step, unit, conflict_out, evidence_out, cost_out)
-
-
-def line_mean(values: DeviceArray, *, axis: int, reach: int, means_out: DeviceArray) -> None:
-    run(_line_mean_kernel, values, *values.shape, 1 - axis, axis, reach, means_out)
-
-
-def unevenness(disparity: DeviceArray, *, bend_out: DeviceArray, relief_out: DeviceArray) -> None:
-    run(_unevenness_kernel, disparity, *disparity.shape, bend_out, relief_out)
 
 
 def judge(

@@ -4,7 +4,7 @@ import taichi as ti
 
 from lfgpu.contract import REDUCTION
 
-from .memory import DeviceArray, flat, scratch
+from .memory import DeviceArray, flat, operation, scratch
 from .nlm import inside, step_after, step_of
 from .runtime import TASK, on_cpu, run
 
@@ -95,18 +95,19 @@ def _pixels_kernel(
                 average_out[slices[s]] = sums[s] / totals[p]
 
 
+@operation
 @ti.kernel
-def _add_reduced_kernel(
+def add_reduced(
     reduced: flat(),
     shares: flat(),
     weight: float,
-    rows: int,
-    columns: int,
     height: int,
     width: int,
     volume_inout: flat(),
 ):
     size = height * width
+    rows = height // REDUCTION
+    columns = width // REDUCTION
     for p in range(volume_inout.shape[0]):
         y = ti.math.clamp((p % size // width + 0.5) / REDUCTION - 0.5, 0.0, rows - 1.0)
         x = ti.math.clamp((p % width + 0.5) / REDUCTION - 0.5, 0.0, columns - 1.0)
@@ -123,13 +124,9 @@ def _add_reduced_kernel(
         volume_inout[p] += weight * (above + (y - row) * (below - above))
 
 
-def add_reduced(reduced: DeviceArray, shares: DeviceArray, *, weight: float, volume_inout: DeviceArray) -> None:
-    sizes = *shares.shape, *volume_inout.shape[1:]
-    run(_add_reduced_kernel, reduced, shares, weight, *sizes, volume_inout)
-
-
+@operation
 @ti.kernel
-def _least_kernel(volume: flat(), least_out: flat()):
+def least_costs(volume: flat(), least_out: flat()):
     size = least_out.shape[0]
     for p in range(size):
         least = volume[p]
@@ -138,8 +135,9 @@ def _least_kernel(volume: flat(), least_out: flat()):
         least_out[p] = least
 
 
+@operation
 @ti.kernel
-def _lowest_kernel(volume: flat(), first: float, step: float, disparity_out: flat()):
+def winner_takes_all(volume: flat(), first: float, step: float, disparity_out: flat()):
     size = disparity_out.shape[0]
     for p in range(size):
         count = volume.shape[0] // size
@@ -167,11 +165,3 @@ def nlm_average(weights: DeviceArray, volume: DeviceArray, *, window: int, avera
     run(_total_kernel, weights, height, width, window // 2, totals)
     kernel = _rows_kernel if on_cpu() else _pixels_kernel
     run(kernel, weights, volume, totals, height, width, window // 2, average_out)
-
-
-def least_costs(volume: DeviceArray, *, least_out: DeviceArray) -> None:
-    run(_least_kernel, volume, least_out)
-
-
-def winner_takes_all(volume: DeviceArray, *, first: float, step: float, disparity_out: DeviceArray) -> None:
-    run(_lowest_kernel, volume, first, step, disparity_out)

@@ -1,7 +1,9 @@
 """Arrays of the Taichi backend: all values in one row, since kernels spend less on indices that they work out alone."""
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import cache
 from math import prod
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -88,6 +90,27 @@ def _nothing() -> DeviceArray:
 def optional(array: DeviceArray | None) -> tuple[DeviceArray, bool]:
     """Return the arguments of a kernel for an optional field: an array in any case, and whether it counts."""
     return (_nothing(), False) if array is None else (array, True)
+
+
+def operation(kernel: Any, *kinds: str) -> Callable[..., None]:
+    """Make an operation of the contract from a kernel whose arguments have the names of the operation's.
+
+    Those that are given by their place come first, in the same order. Besides, a kernel may have `height` and `width`,
+    the last two sizes of the last output, and has_X, whether an optional X is given. With `kinds`, what stands in the
+    place of the kernel is a function that returns it for these attributes of the first argument.
+    """
+    names = cache(lambda chosen: tuple(inspect.signature(chosen._primal.func).parameters))
+
+    def launch(*arguments: Any, **named: Any) -> None:
+        chosen = kernel(*(getattr(arguments[0], kind) for kind in kinds)) if kinds else kernel
+        given = dict(zip(names(chosen), arguments, strict=False)) | named
+        for name in names(chosen):
+            if name.startswith("has_"):
+                given[name.removeprefix("has_")], given[name] = optional(given[name.removeprefix("has_")])
+        given["height"], given["width"] = (1, *given[names(chosen)[-1]].shape)[-2:]
+        run(chosen, *(given[name] for name in names(chosen)))
+
+    return launch
 
 
 def field(values: NDArray[Any], device: str) -> DeviceArray:

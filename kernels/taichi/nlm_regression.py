@@ -2,9 +2,8 @@
 
 import taichi as ti
 
-from .memory import DeviceArray, flat
+from .memory import flat, operation
 from .nlm import inside, step_after, step_of
-from .runtime import run
 
 
 @ti.func
@@ -12,15 +11,16 @@ def _shared(weight: float, apart: float, support: float):
     return weight / (1.0 + (apart / support) * (apart / support))
 
 
+@operation
 @ti.kernel
-def _ratio_kernel(
+def nlm_ratio(
     weights: flat(),
     guide: flat(),
     numerator: flat(),
     denominator: flat(),
     height: int,
     width: int,
-    radius: int,
+    window: int,
     support: float,
     floor: float,
     ratio_out: flat(),
@@ -33,7 +33,7 @@ def _ratio_kernel(
         here = guide[p]
         above = numerator[p]
         below = denominator[p] + floor
-        step = step_of(0, radius)
+        step = step_of(0, window // 2)
         for k in range(weights.shape[0] // size):
             q = step[1] * width + step[0]
             if inside(x + step[0], y + step[1], height, width):
@@ -44,23 +44,8 @@ def _ratio_kernel(
                 v = _shared(weights[k * size + p - q], guide[p - q] - here, support)
                 above += v * numerator[p - q]
                 below += v * (denominator[p - q] + floor)
-            step = step_after(step, radius)
+            step = step_after(step, window // 2)
         ratio_out[p] = above / below
-
-
-def nlm_ratio(
-    weights: DeviceArray,
-    guide: DeviceArray,
-    numerator: DeviceArray,
-    denominator: DeviceArray,
-    *,
-    window: int,
-    support: float,
-    floor: float,
-    ratio_out: DeviceArray,
-) -> None:
-    options = *guide.shape, window // 2, support, floor
-    run(_ratio_kernel, weights, guide, numerator, denominator, *options, ratio_out)
 
 
 @ti.func
@@ -69,14 +54,15 @@ def _moments(u: float, apart: float, x: int, y: int):
     return ti.Vector([u, u * x, u * y, u * x * x, u * x * y, u * y * y, u * apart, u * apart * x, u * apart * y])
 
 
+@operation
 @ti.kernel
-def _plane_kernel(
+def nlm_plane(
     weights: flat(),
     values: flat(),
     certainty: flat(),
     height: int,
     width: int,
-    radius: int,
+    window: int,
     support: float,
     ridge: float,
     plane_out: flat(),
@@ -86,7 +72,7 @@ def _plane_kernel(
     for p in range(plane_out.shape[0]):
         here = values[p]
         sums = _moments(certainty[p], 0.0, 0, 0)
-        step = step_of(0, radius)
+        step = step_of(0, window // 2)
         for k in range(weights.shape[0] // size):
             q = step[1] * width + step[0]
             if inside(p % width + step[0], p // width + step[1], height, width):
@@ -97,7 +83,7 @@ def _plane_kernel(
                 apart = values[p - q] - here
                 u = _shared(weights[k * size + p - q], apart, support) * certainty[p - q]
                 sums += _moments(u, apart, -step[0], -step[1])
-            step = step_after(step, radius)
+            step = step_after(step, window // 2)
         means = sums / sums[0]
         x = means[1]
         y = means[2]
@@ -112,35 +98,17 @@ def _plane_kernel(
         plane_out[p] = here + means[6] - slope_x * x - slope_y * y
 
 
-def nlm_plane(
-    weights: DeviceArray,
-    values: DeviceArray,
-    certainty: DeviceArray,
-    *,
-    window: int,
-    support: float,
-    ridge: float,
-    plane_out: DeviceArray,
-) -> None:
-    run(_plane_kernel, weights, values, certainty, *values.shape, window // 2, support, ridge, plane_out)
-
-
+@operation
 @ti.kernel
-def _on_surface_kernel(
-    weights: flat(), guide: flat(), height: int, width: int, radius: int, support: float, weights_out: flat()
+def nlm_on_surface(
+    weights: flat(), guide: flat(), height: int, width: int, window: int, support: float, weights_out: flat()
 ):
     size = height * width
     for i in range(weights_out.shape[0]):
         k = i // size
         p = i - k * size
-        step = step_of(k, radius)
+        step = step_of(k, window // 2)
         weight = 0.0
         if inside(p % width + step[0], p // width + step[1], height, width):
             weight = _shared(weights[i], guide[p + step[1] * width + step[0]] - guide[p], support)
         weights_out[i] = weight
-
-
-def nlm_on_surface(
-    weights: DeviceArray, guide: DeviceArray, *, window: int, support: float, weights_out: DeviceArray
-) -> None:
-    run(_on_surface_kernel, weights, guide, *guide.shape, window // 2, support, weights_out)

@@ -13,7 +13,7 @@ import numpy as np
 import taichi as ti
 
 from .landing import inside, land, nearest, tent, tent_slope, within
-from .memory import DeviceArray, empty, flat, numpy, optional
+from .memory import DeviceArray, empty, flat, numpy, operation, optional
 from .runtime import TASK, double, on_cpu, once, run
 from .sums import BLOCK, PARTS, add_up, share, summing
 
@@ -324,14 +324,15 @@ class _DataTerm:
 data_term = _DataTerm
 
 
+@operation
 @ti.kernel
-def _seen_kernel(
+def seen_by_reference(
     disparity: flat(),
     offsets: flat(),
     known: flat(),
-    some_known: ti.template(),
     valid: flat(),
-    masked: ti.template(),
+    has_known: ti.template(),
+    has_valid: ti.template(),
     height: int,
     width: int,
     seen_out: flat(),
@@ -345,22 +346,10 @@ def _seen_kernel(
         seen = 0.0
         if within(place.x, place.ax, width) and within(place.y, place.ay, height):
             seen = 1.0
-            if ti.static(some_known):
+            if ti.static(has_known):
                 if known[nearest(place.y, place.ay) * width + nearest(place.x, place.ax)] == 0.0:
                     seen = 0.0
-            if ti.static(masked):
+            if ti.static(has_valid):
                 if valid[i] == 0.0:
                     seen = 0.0
         seen_out[i] = seen
-
-
-def seen_by_reference(
-    disparity: DeviceArray,
-    offsets: DeviceArray,
-    known: DeviceArray | None,
-    valid: DeviceArray | None,
-    *,
-    seen_out: DeviceArray,
-) -> None:
-    inputs = disparity, offsets, *optional(known), *optional(valid), *disparity.shape
-    run(_seen_kernel, *inputs, seen_out)

@@ -8,7 +8,7 @@ import taichi as ti
 
 from lfgpu.contract import LocalEstimate, StructureFilters
 
-from .memory import DeviceArray, empty, flat, optional
+from .memory import DeviceArray, empty, flat, operation
 from .runtime import once, run
 
 
@@ -105,12 +105,13 @@ def _slope_kernel(
         coherence_out[p] = (difference * difference + 4.0 * t[1] * t[1]) / (trace * trace)
 
 
+@operation
 @ti.kernel
-def _keep_kernel(
+def keep_more_coherent(
     disparity: flat(),
     coherence: flat(),
     trusted: flat(),
-    masked: ti.template(),
+    has_trusted: ti.template(),
     shear: float,
     reach: float,
     unit: float,
@@ -129,7 +130,7 @@ def _keep_kernel(
         value = disparity[i] / unit
         better = coherence[i] > best_coherence_out[p] and ti.abs(disparity[i] - shear) <= reach
         better = better and value >= low and value <= high
-        if ti.static(masked):
+        if ti.static(has_trusted):
             better = better and trusted[i] != 0.0
         if better:
             best_disparity_out[p] = value
@@ -153,21 +154,3 @@ def structure_tensor(
         run(_slope_kernel, tensor, filters.across_outer, shear, floor, width, disparity_out, coherence_out)
 
     return evaluate
-
-
-def keep_more_coherent(
-    disparity: DeviceArray,
-    coherence: DeviceArray,
-    trusted: DeviceArray | None,
-    *,
-    shear: float,
-    reach: float,
-    unit: float,
-    low: float,
-    high: float,
-    vertical: bool,
-    best_disparity_out: DeviceArray,
-    best_coherence_out: DeviceArray,
-) -> None:
-    tests = shear, reach, unit, low, high, *best_disparity_out.shape, int(vertical)
-    run(_keep_kernel, disparity, coherence, *optional(trusted), *tests, best_disparity_out, best_coherence_out)

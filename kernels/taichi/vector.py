@@ -5,7 +5,7 @@ from typing import Any
 
 import taichi as ti
 
-from .memory import DeviceArray, flat, one
+from .memory import DeviceArray, flat, one, operation
 from .runtime import double, once, run
 
 
@@ -41,43 +41,9 @@ def _linear_kernels(kind: Any) -> SimpleNamespace:
 
 
 @once
-def _kernels() -> SimpleNamespace:
+def _ratio_kernel() -> Any:
     real = double()
-    field, scalar = flat(), flat(real)
-
-    @ti.kernel
-    def multiply_kernel(x: field, y: field, product_out: field):
-        for i in range(x.shape[0]):
-            product_out[i] = x[i] * y[i]
-
-    @ti.kernel
-    def divide_kernel(x: field, y: field, quotient_out: field):
-        for i in range(x.shape[0]):
-            quotient = 0.0
-            if y[i] != 0.0:
-                quotient = x[i] / y[i]
-            quotient_out[i] = quotient
-
-    @ti.kernel
-    def select_kernel(condition: field, x: field, y: field, chosen_out: field):
-        for i in range(x.shape[0]):
-            chosen = y[i]
-            if condition[i] > 0.0:
-                chosen = x[i]
-            chosen_out[i] = chosen
-
-    @ti.kernel
-    def threshold_kernel(x: field, threshold: float, x_out: field):
-        for i in range(x.shape[0]):
-            value = 0.0
-            if x[i] >= threshold:
-                value = x[i]
-            x_out[i] = value
-
-    @ti.kernel
-    def clamp_kernel(x: field, low: float, high: float, x_out: field):
-        for i in range(x.shape[0]):
-            x_out[i] = ti.math.clamp(x[i], low, high)
+    scalar = flat(real)
 
     @ti.kernel
     def ratio_kernel(numerator: scalar, denominator: scalar, factor: real, ratio_out: scalar):
@@ -86,18 +52,55 @@ def _kernels() -> SimpleNamespace:
             quotient = factor * numerator[0] / denominator[0]
         ratio_out[0] = quotient
 
-    return SimpleNamespace(
-        multiply=multiply_kernel,
-        divide=divide_kernel,
-        select=select_kernel,
-        threshold=threshold_kernel,
-        clamp=clamp_kernel,
-        ratio=ratio_kernel,
-    )
+    return ratio_kernel
 
 
 def ratio(numerator: DeviceArray, denominator: DeviceArray, ratio_out: DeviceArray, *, factor: float = 1.0) -> None:
-    run(_kernels().ratio, numerator, denominator, factor, ratio_out)
+    run(_ratio_kernel(), numerator, denominator, factor, ratio_out)
+
+
+@operation
+@ti.kernel
+def multiply(x: flat(), y: flat(), product_out: flat()):
+    for i in range(x.shape[0]):
+        product_out[i] = x[i] * y[i]
+
+
+@operation
+@ti.kernel
+def divide(x: flat(), y: flat(), quotient_out: flat()):
+    for i in range(x.shape[0]):
+        quotient = 0.0
+        if y[i] != 0.0:
+            quotient = x[i] / y[i]
+        quotient_out[i] = quotient
+
+
+@operation
+@ti.kernel
+def select(condition: flat(), x: flat(), y: flat(), chosen_out: flat()):
+    for i in range(x.shape[0]):
+        chosen = y[i]
+        if condition[i] > 0.0:
+            chosen = x[i]
+        chosen_out[i] = chosen
+
+
+@operation
+@ti.kernel
+def threshold(x: flat(), threshold: float, x_out: flat()):
+    for i in range(x.shape[0]):
+        value = 0.0
+        if x[i] >= threshold:
+            value = x[i]
+        x_out[i] = value
+
+
+@operation
+@ti.kernel
+def clamp(x: flat(), low: float, high: float, x_out: flat()):
+    for i in range(x.shape[0]):
+        x_out[i] = ti.math.clamp(x[i], low, high)
 
 
 def copy(source: DeviceArray, target_out: DeviceArray) -> None:
@@ -110,28 +113,8 @@ def axpby(
     run(_linear_kernels(y_out.scalar).axpby, *_coefficient(alpha), x, *_coefficient(beta), y, y_out)
 
 
-def multiply(x: DeviceArray, y: DeviceArray, product_out: DeviceArray) -> None:
-    run(_kernels().multiply, x, y, product_out)
-
-
-def divide(x: DeviceArray, y: DeviceArray, quotient_out: DeviceArray) -> None:
-    run(_kernels().divide, x, y, quotient_out)
-
-
 def fill(value: float | DeviceArray, x_out: DeviceArray) -> None:
     run(_linear_kernels(x_out.scalar).fill, *_coefficient(value), x_out)
-
-
-def select(condition: DeviceArray, x: DeviceArray, y: DeviceArray, chosen_out: DeviceArray) -> None:
-    run(_kernels().select, condition, x, y, chosen_out)
-
-
-def threshold(x: DeviceArray, threshold: float, x_out: DeviceArray) -> None:
-    run(_kernels().threshold, x, threshold, x_out)
-
-
-def clamp(x: DeviceArray, low: float, high: float, x_out: DeviceArray) -> None:
-    run(_kernels().clamp, x, low, high, x_out)
 
 
 def _coefficient(value: float | DeviceArray) -> tuple[float, DeviceArray]:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from .memory import DeviceArray, empty, field, flat, optional, table
+from .memory import DeviceArray, empty, field, flat, operation, optional, table
 from .runtime import on_cpu, once, run, start
 
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
@@ -20,25 +20,34 @@ _BLOCK = 16  # values of a Gaussian sum at a time on a CPU, which its vector uni
 
 
 @once
-def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
-    views_type = flat(stored, channels)
-
+def _intensities_kernel(channels: int, stored: Any) -> Any:
     @ti.kernel
     def intensities_kernel(
-        views: views_type,
-        first: int,
+        views: flat(stored, channels),
+        index: int,
         valid: flat(),
-        masked: ti.template(),
+        has_valid: ti.template(),
         scale: float,
         fill: float,
         image_out: flat(channels=channels),
     ):
         for p in range(image_out.shape[0]):
-            value = scale * ti.cast(views[first + p], ti.f32)
-            if ti.static(masked):
-                if valid[first + p] == 0.0:
+            place = index * image_out.shape[0] + p
+            value = scale * ti.cast(views[place], ti.f32)
+            if ti.static(has_valid):
+                if valid[place] == 0.0:
                     value = ti.Vector([fill] * channels)
             image_out[p] = value
+
+    return intensities_kernel
+
+
+intensities = operation(_intensities_kernel, "channels", "scalar")
+
+
+@once
+def _line_kernel(channels: int, stored: Any) -> Any:
+    views_type = flat(stored, channels)
 
     @ti.kernel
     def line_kernel(
@@ -61,14 +70,7 @@ def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
                 y, x = x, y
             epis_out[i] = views[(ti.cast(line[i // (height * width)], ti.i32) * rows + y + top) * columns + x + left]
 
-    return SimpleNamespace(intensities=intensities_kernel, line=line_kernel)
-
-
-def intensities(
-    views: DeviceArray, index: int, valid: DeviceArray | None, *, scale: float, fill: float, image_out: DeviceArray
-) -> None:
-    kernel = _copy_kernels(views.channels, views.scalar).intensities
-    run(kernel, views, int(index) * image_out.size, *optional(valid), scale, fill, image_out)
+    return line_kernel
 
 
 def line_of_views(
@@ -79,7 +81,7 @@ def line_of_views(
     epis_out: DeviceArray,
     corner: tuple[int, int] = (0, 0),
 ) -> None:
-    kernel = _copy_kernels(views.channels, views.scalar).line
+    kernel = _line_kernel(views.channels, views.scalar)
     run(kernel, views, _line(tuple(line)), *views.shape[1:], *epis_out.shape[1:], int(vertical), *corner, epis_out)
 
 
