@@ -8,7 +8,8 @@ import warp as wp
 from lfgpu.contract import CLOSE, COMPARED, DECISIONS, FOLD, LEAST_ODDS
 
 from .memory import pixel_type
-from .threads import launch, launch_rows, once
+from .pixels import Field, pixelwise
+from .threads import launch, once
 from .vector import given, value_of
 
 _LEAST_ODDS, _CLOSE = wp.constant(LEAST_ODDS), wp.constant(CLOSE)
@@ -34,20 +35,19 @@ def _log_deviation(variance: float, farthest: float) -> float:
 @once
 def _compare_kernel(stored: Any) -> Any:
     folded: Any = pixel_type(FOLD**2 * COMPARED, stored)
-    field: Any = wp.array2d(dtype=float)
 
     @wp.kernel(module=f"lfgpu_compare_maps_{stored.__name__}", enable_backward=False)
     def compare_kernel(
-        map_0: field,
-        confidence_0: field,
-        variance_0: field,
-        near_0: field,
-        wide_0: field,
-        map_1: field,
-        confidence_1: field,
-        variance_1: field,
-        near_1: field,
-        wide_1: field,
+        map_0: Field,
+        confidence_0: Field,
+        variance_0: Field,
+        near_0: Field,
+        wide_0: Field,
+        map_1: Field,
+        confidence_1: Field,
+        variance_1: Field,
+        near_1: Field,
+        wide_1: Field,
         farthest: float,
         span_given: float,
         span_there: wp.array(dtype=wp.float64),
@@ -90,41 +90,25 @@ def compare_maps(first: Sequence[Any], second: Sequence[Any], *, farthest: float
     launch(comparing, features_out.shape[1:], inputs, [features_out], device=features_out.device)
 
 
-@wp.kernel(enable_backward=False)
-def _choose_kernel(
-    decisions: wp.array3d(dtype=pixel_type(FOLD**2 * DECISIONS)),
-    first: wp.array2d(dtype=float),
-    second: wp.array2d(dtype=float),
-    farthest: float,
-    row: int,
-    lanes: int,
-    disparity_out: wp.array2d(dtype=float),
-    confidence_out: wp.array2d(dtype=float),
-    variance_out: wp.array2d(dtype=float),
-):
-    i = wp.tid()
-    y = row + i / lanes
-    for x in range(i % lanes, first.shape[1], lanes):
-        found = decisions[0, y / wp.static(FOLD), x / wp.static(FOLD)]
-        place = y % wp.static(FOLD) * wp.static(FOLD) + x % wp.static(FOLD)
-        share = 1.0 / (1.0 + wp.exp(-found[place]))
-        apart = second[y, x] - first[y, x]
-        if farthest * wp.abs(apart) >= _CLOSE:
-            share = wp.where(share > 0.5, 1.0, 0.0)
-        disparity_out[y, x] = first[y, x] + share * apart
-        confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-found[wp.static(FOLD**2) + place]))
-        deviation = wp.exp(wp.clamp(found[wp.static(2 * FOLD**2) + place], -7.0, 4.0)) / farthest
-        variance_out[y, x] = deviation * deviation
-
-
+@pixelwise("lfgpu_choose")
 def choose(
-    decisions: Any,
-    first: Any,
-    second: Any,
-    *,
+    y: int,
+    x: int,
+    decisions: wp.array3d(dtype=pixel_type(FOLD**2 * DECISIONS)),
+    first: Field,
+    second: Field,
     farthest: float,
-    disparity_out: Any,
-    confidence_out: Any,
-    variance_out: Any,
-) -> None:
-    launch_rows(_choose_kernel, [decisions, first, second, farthest], disparity_out, confidence_out, variance_out)
+    disparity_out: Field,
+    confidence_out: Field,
+    variance_out: Field,
+):
+    found = decisions[0, y / wp.static(FOLD), x / wp.static(FOLD)]
+    place = y % wp.static(FOLD) * wp.static(FOLD) + x % wp.static(FOLD)
+    share = 1.0 / (1.0 + wp.exp(-found[place]))
+    apart = second[y, x] - first[y, x]
+    if farthest * wp.abs(apart) >= _CLOSE:
+        share = wp.where(share > 0.5, 1.0, 0.0)
+    disparity_out[y, x] = first[y, x] + share * apart
+    confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-found[wp.static(FOLD**2) + place]))
+    deviation = wp.exp(wp.clamp(found[wp.static(2 * FOLD**2) + place], -7.0, 4.0)) / farthest
+    variance_out[y, x] = deviation * deviation

@@ -9,8 +9,9 @@ from typing import Any
 import warp as wp
 
 from .native_code import kernel
+from .pixels import Field, Number, Volume, pixelwise
 from .threads import launch_rows, launch_slices, once, room_for
-from .vector import given, value_of
+from .vector import given
 
 wp.set_module_options({"enable_backward": False})
 
@@ -51,39 +52,33 @@ def _line_mean_kernel() -> Any:
     return kernel("confidence.cuh", "average_line", module="lfgpu_gpu_line_mean")
 
 
-@wp.kernel
-def _evidence_kernel(
-    volume: wp.array3d(dtype=float),
-    path_costs: wp.array3d(dtype=float),
-    labels_given: float,
-    labels_there: wp.array(dtype=wp.float64),
+@pixelwise("lfgpu_evidence")
+def _weigh_evidence(
+    y: int,
+    x: int,
+    volume: Volume,
+    path_costs: Volume,
+    labels: Number,
     step: float,
-    unit_given: float,
-    unit_there: wp.array(dtype=wp.float64),
-    row: int,
-    lanes: int,
-    conflict_out: wp.array2d(dtype=float),
-    evidence_out: wp.array2d(dtype=float),
-    cost_out: wp.array2d(dtype=float),
+    unit: Number,
+    conflict_out: Field,
+    evidence_out: Field,
+    cost_out: Field,
 ):
-    i = wp.tid()
-    y = row + i / lanes
-    count = int(value_of(labels_given, labels_there))
-    unit = value_of(unit_given, unit_there)
-    for x in range(i % lanes, volume.shape[2], lanes):
-        least = volume[0, y, x]
-        least_path = path_costs[0, y, x]
-        for k in range(1, count):
-            least = wp.min(least, volume[k, y, x])
-            least_path = wp.min(least_path, path_costs[k, y, x])
-        rivals = float(0.0)
-        for k in range(count):
-            apart = _SHARPNESS / unit * (volume[k, y, x] - least)
-            if apart < _NO_RIVAL:
-                rivals += wp.exp(-apart)
-        conflict_out[y, x] = wp.log(wp.max(least_path / _PATHS - least, 0.0) / unit + _LEAST_CONFLICT)
-        evidence_out[y, x] = -wp.log(step * rivals)
-        cost_out[y, x] = wp.log(wp.max(least / unit, _LEAST_COST))
+    count = int(labels)
+    least = volume[0, y, x]
+    least_path = path_costs[0, y, x]
+    for k in range(1, count):
+        least = wp.min(least, volume[k, y, x])
+        least_path = wp.min(least_path, path_costs[k, y, x])
+    rivals = float(0.0)
+    for k in range(count):
+        apart = _SHARPNESS / unit * (volume[k, y, x] - least)
+        if apart < _NO_RIVAL:
+            rivals += wp.exp(-apart)
+    conflict_out[y, x] = wp.log(wp.max(least_path / _PATHS - least, 0.0) / unit + _LEAST_CONFLICT)
+    evidence_out[y, x] = -wp.log(step * rivals)
+    cost_out[y, x] = wp.log(wp.max(least / unit, _LEAST_COST))
 
 
 @wp.func
@@ -105,60 +100,44 @@ def _bend(disparity: wp.array2d(dtype=float), y: int, x: int):
     return bend / 4.0
 
 
-@wp.kernel
-def _unevenness_kernel(
-    disparity: wp.array2d(dtype=float),
-    row: int,
-    lanes: int,
-    bend_out: wp.array2d(dtype=float),
-    relief_out: wp.array2d(dtype=float),
-):
-    i = wp.tid()
-    y = row + i / lanes
-    height = disparity.shape[0]
-    width = disparity.shape[1]
-    for x in range(i % lanes, width, lanes):
-        bends = float(0.0)
-        for dy in range(-1, 2):
-            for dx in range(-1, 2):
-                bends += wp.log(_bend(disparity, y + dy, x + dx) + _LEAST_BEND)
-        nearest = disparity[y, x]
-        farthest = disparity[y, x]
-        for qy in range(wp.max(y - 2, 0), wp.min(y + 3, height)):
-            for qx in range(wp.max(x - 2, 0), wp.min(x + 3, width)):
-                nearest = wp.max(nearest, disparity[qy, qx])
-                farthest = wp.min(farthest, disparity[qy, qx])
-        bend_out[y, x] = bends / 9.0
-        relief_out[y, x] = wp.log(nearest - farthest + _LEAST_RELIEF)
+@pixelwise("lfgpu_unevenness")
+def _find_unevenness(y: int, x: int, disparity: Field, bend_out: Field, relief_out: Field):
+    bends = float(0.0)
+    for dy in range(-1, 2):
+        for dx in range(-1, 2):
+            bends += wp.log(_bend(disparity, y + dy, x + dx) + _LEAST_BEND)
+    nearest = disparity[y, x]
+    farthest = disparity[y, x]
+    for qy in range(wp.max(y - 2, 0), wp.min(y + 3, disparity.shape[0])):
+        for qx in range(wp.max(x - 2, 0), wp.min(x + 3, disparity.shape[1])):
+            nearest = wp.max(nearest, disparity[qy, qx])
+            farthest = wp.min(farthest, disparity[qy, qx])
+    bend_out[y, x] = bends / 9.0
+    relief_out[y, x] = wp.log(nearest - farthest + _LEAST_RELIEF)
 
 
-@wp.kernel
-def _judge_kernel(
-    conflict: wp.array2d(dtype=float),
-    evidence: wp.array2d(dtype=float),
-    bend: wp.array2d(dtype=float),
-    relief: wp.array2d(dtype=float),
-    wide: wp.array2d(dtype=float),
-    cost: wp.array2d(dtype=float),
-    span_given: float,
-    span_there: wp.array(dtype=wp.float64),
+@pixelwise("lfgpu_judge")
+def _judge(
+    y: int,
+    x: int,
+    conflict: Field,
+    evidence: Field,
+    bend: Field,
+    relief: Field,
+    wide: Field,
+    cost: Field,
+    span: Number,
     share: _Weights,
     spread: _Weights,
-    row: int,
-    lanes: int,
-    confidence_out: wp.array2d(dtype=float),
-    variance_out: wp.array2d(dtype=float),
+    confidence_out: Field,
+    variance_out: Field,
 ):
-    i = wp.tid()
-    y = row + i / lanes
-    span = value_of(span_given, span_there)
-    for x in range(i % lanes, conflict.shape[1], lanes):
-        features = _Weights(1.0, conflict[y, x], evidence[y, x], bend[y, x], relief[y, x], bend[y, x] * relief[y, x])
-        unknown = 0.5 * wp.pow(wp.min(wp.exp(-wide[y, x]) / span, 1.0), _BLIND)
-        known = 1.0 - unknown
-        alike = 1.0 / (1.0 + wp.pow(wp.exp(cost[y, x]) / _MOST_COST, _UNLIKE))
-        confidence_out[y, x] = alike * known / (1.0 + wp.exp(-wp.dot(share, features)))
-        variance_out[y, x] = known * wp.exp(wp.dot(spread, features)) + unknown * span * span / 12.0
+    features = _Weights(1.0, conflict[y, x], evidence[y, x], bend[y, x], relief[y, x], bend[y, x] * relief[y, x])
+    unknown = 0.5 * wp.pow(wp.min(wp.exp(-wide[y, x]) / span, 1.0), _BLIND)
+    known = 1.0 - unknown
+    alike = 1.0 / (1.0 + wp.pow(wp.exp(cost[y, x]) / _MOST_COST, _UNLIKE))
+    confidence_out[y, x] = alike * known / (1.0 + wp.exp(-wp.dot(share, features)))
+    variance_out[y, x] = known * wp.exp(wp.dot(spread, features)) + unknown * span * span / 12.0
 
 
 def evidence(
@@ -172,9 +151,12 @@ def evidence(
     cost_out: Any,
     labels: Any = None,
 ) -> None:
-    weigh = _cpu_kernel("weigh_evidence") if volume.device.is_cpu else _evidence_kernel
-    count = given(len(volume) if labels is None else labels)
-    launch_rows(weigh, [volume, path_costs, *count, step, *given(unit)], conflict_out, evidence_out, cost_out)
+    count, outputs = len(volume) if labels is None else labels, [conflict_out, evidence_out, cost_out]
+    if volume.device.is_cpu:
+        inputs = [volume, path_costs, *given(count), step, *given(unit)]
+        launch_rows(_cpu_kernel("weigh_evidence"), inputs, *outputs)
+    else:
+        _weigh_evidence(volume, path_costs, count, step, unit, *outputs)
 
 
 def line_mean(values: Any, *, axis: int, reach: int, means_out: Any) -> None:
@@ -184,21 +166,12 @@ def line_mean(values: Any, *, axis: int, reach: int, means_out: Any) -> None:
 
 def unevenness(disparity: Any, *, bend_out: Any, relief_out: Any) -> None:
     if not disparity.device.is_cpu:
-        launch_rows(_unevenness_kernel, [disparity], bend_out, relief_out)
+        _find_unevenness(disparity, bend_out, relief_out)
         return
     (height, width), find = disparity.shape, _cpu_kernel("find_unevenness")
     room = room_for(disparity.device, height, 5 * (width + 2 * _AROUND))
     launch_slices(find, height, [disparity], bend_out, relief_out, room=room)
 
 
-def judge(
-    maps: Sequence[Any],
-    *,
-    span: Any,
-    share: Sequence[float],
-    spread: Sequence[float],
-    confidence_out: Any,
-    variance_out: Any,
-) -> None:
-    inputs = [*maps, *given(span), _Weights(*share), _Weights(*spread)]
-    launch_rows(_judge_kernel, inputs, confidence_out, variance_out)
+def judge(maps: Sequence[Any], *, share: Sequence[float], spread: Sequence[float], **given: Any) -> None:
+    _judge(*maps, share=_Weights(*share), spread=_Weights(*spread), **given)

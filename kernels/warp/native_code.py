@@ -97,7 +97,7 @@ def _annotations(arguments: str, types: dict[str, Any]) -> Iterator[tuple[str, A
             yield match["name"], type_of(match["type"])
 
 
-def _defined(name: str, arguments: dict[str, Any], body: str, names: dict[str, Any]) -> Any:
+def defined(name: str, arguments: dict[str, Any], body: str, names: dict[str, Any]) -> Any:
     """Make a Python function with these arguments, whose text Warp finds."""
     text = f"def {name}({', '.join(f'{argument}: {argument}_type' for argument in arguments)}):\n    {body}\n"
     place = f"<native {name} {len(linecache.cache)}>"
@@ -136,7 +136,7 @@ def function(file: str, name: str, **given: Any) -> Any:
     assert arguments is not None, f"{name} is for other functions of {file}"
     named = re.findall(r"\bNumber (\w+)", arguments)
     read = "".join(f"    const float {n} = {n}_there.data ? (float){n}_there.data[0] : {n}_given;\n" for n in named)
-    stub = _defined(name, dict(_annotations(arguments, types)), "...", {})
+    stub = defined(name, dict(_annotations(arguments, types)), "...", {})
     body = _assembled(file, name, numbers)
     return wp.func_native(f"{read}{{\n{body}}}\n" if read else body)(stub)
 
@@ -155,5 +155,5 @@ def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] 
     passed = ", ".join("wp.tid()" if argument == "tid" else argument for argument in arguments)
     names = {"wp": wp, "native": native}
     called = {argument: kind for argument, kind in arguments.items() if not (indexed and argument == "tid")}
-    defined = _defined(f"{name}_kernel", called, f"native({passed})", names)
-    return wp.kernel(defined, module=module, enable_backward=False, launch_bounds=launch_bounds)
+    calling = defined(f"{name}_kernel", called, f"native({passed})", names)
+    return wp.kernel(calling, module=module, enable_backward=False, launch_bounds=launch_bounds)

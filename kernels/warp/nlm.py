@@ -11,7 +11,7 @@ from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
 from .memory import pixel_type
 from .native_code import function, kernel
-from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
+from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, room_for
 
 wp.set_module_options({"enable_backward": False})
 
@@ -218,15 +218,20 @@ def nlm_weights(
     root, gradient = channels**0.5, 1 / (sigma_gradient * channels**0.5)
     color = [0.0, sigma_color, root] if isinstance(sigma_color, wp.array) else [1 / (sigma_color * root), None, root]
     if place.is_cpu:
-        return _CpuWeights(
-            (height, width, channels),
-            steps,
-            patch=patch,
-            color=color,
-            gradient=gradient,
-            floor=floor,
-            is_mean=is_mean == 1,
-        )
+        on_cpu, planes = _cpu_kernels(channels), wp.empty((3 * channels, height, width), dtype=float, device=place)
+        room = room_for(place, len(steps), width + 2 * (patch // 2) + (1 + patch) * width)
+
+        def weigh_planes(image: Any, weights_out: Any) -> None:
+            launch_rows(on_cpu.features, [image, *color, gradient], planes)
+            load(place, on_cpu.weights)
+
+            def some_neighbors(part: int, first: int, last: int) -> None:
+                inputs = [planes, steps[first:last], patch // 2, floor, is_mean, room[part]]
+                launch(on_cpu.weights, 1, inputs, [weights_out[first:last]], device=place)
+
+            in_slices(place, len(steps), some_neighbors)
+
+        return weigh_planes
     features = wp.empty((height, width), dtype=pixel_type(3 * channels), device=place)
     block = _TILE[0] * _TILE[1]
     threads = len(steps) * -(-height // _TILE[0]) * -(-width // _TILE[1]) * block
@@ -238,39 +243,6 @@ def nlm_weights(
         launch(_tile_kernel(channels, patch // 2), threads, inputs, [weights_out], device=place, block_dim=block)
 
     return weigh
-
-
-class _CpuWeights:
-    """Weights of images [y, x, c] of one size, at the places `steps` of a half window."""
-
-    def __init__(
-        self,
-        shape: tuple[int, int, int],
-        steps: Any,
-        *,
-        patch: int,
-        color: list[Any],
-        gradient: float,
-        floor: float,
-        is_mean: bool,
-    ) -> None:
-        height, width, channels = shape
-        self._kernels, self._steps = _cpu_kernels(channels), steps
-        self._factors, self._numbers = [*color, gradient], [patch // 2, floor, int(is_mean)]
-        self._features = wp.empty((3 * channels, height, width), dtype=float, device="cpu")
-        size = width + 2 * (patch // 2) + (1 + patch) * width
-        self._room = wp.empty((len(slices(steps.device, len(steps))), size), dtype=float, device="cpu")
-
-    def __call__(self, image: Any, weights_out: Any) -> None:
-        kernels, features, device = self._kernels, self._features, image.device
-        launch_rows(kernels.features, [image, *self._factors], features)
-        load(device, kernels.weights)
-
-        def some_neighbors(part: int, first: int, last: int) -> None:
-            inputs = [features, self._steps[first:last], *self._numbers, self._room[part]]
-            launch(kernels.weights, 1, inputs, [weights_out[first:last]], device=device)
-
-        in_slices(device, len(self._steps), some_neighbors)
 
 
 def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> None:

@@ -10,7 +10,8 @@ from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH
 
 from .memory import pixel_type
 from .native_code import c_type, kernel
-from .threads import launch, launch_rows, launch_slices, once, with_wide_vectors
+from .pixels import Field, pixelwise
+from .threads import launch, launch_slices, once, with_wide_vectors
 
 _LEAST_ODDS, _LEAST_WIDTH = wp.constant(LEAST_ODDS), wp.constant(LEAST_WIDTH)
 _Weights = wp.types.vector(length=3, dtype=float)
@@ -38,25 +39,22 @@ def peak(logits: Any, first: Any, *, step: float, disparity_out: Any, probabilit
     launch_slices(_rows_kernel(stored), logits.shape[1], [logits, first, step], *outputs)
 
 
-@wp.kernel
-def _judge_peak_kernel(
-    probability: wp.array2d(dtype=float),
-    deviation: wp.array2d(dtype=float),
+@pixelwise("lfgpu_judge_peak")
+def _judge_peak(
+    y: int,
+    x: int,
+    probability: Field,
+    deviation: Field,
     step: float,
     share: _Weights,
     spread: _Weights,
-    row: int,
-    lanes: int,
-    confidence_out: wp.array2d(dtype=float),
-    variance_out: wp.array2d(dtype=float),
+    confidence_out: Field,
+    variance_out: Field,
 ):
-    i = wp.tid()
-    y = row + i / lanes
-    for x in range(i % lanes, probability.shape[1], lanes):
-        odds = wp.log((probability[y, x] + _LEAST_ODDS) / (1.0 - probability[y, x] + _LEAST_ODDS))
-        features = _Weights(1.0, odds, wp.log(deviation[y, x] / step + _LEAST_WIDTH))
-        confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-wp.dot(share, features)))
-        variance_out[y, x] = step * step * wp.exp(wp.dot(spread, features))
+    odds = wp.log((probability[y, x] + _LEAST_ODDS) / (1.0 - probability[y, x] + _LEAST_ODDS))
+    features = _Weights(1.0, odds, wp.log(deviation[y, x] / step + _LEAST_WIDTH))
+    confidence_out[y, x] = 1.0 / (1.0 + wp.exp(-wp.dot(share, features)))
+    variance_out[y, x] = step * step * wp.exp(wp.dot(spread, features))
 
 
 def judge_peak(
@@ -67,9 +65,7 @@ def judge_peak(
     limit: float,
     share: Sequence[float],
     spread: Sequence[float],
-    confidence_out: Any,
-    variance_out: Any,
+    **outputs: Any,
 ) -> None:
     at_limit = _Weights(share[0] + share[3] * math.log(limit / step), share[1], share[2])
-    inputs = [probability, deviation, step, at_limit, _Weights(*spread)]
-    launch_rows(_judge_peak_kernel, inputs, confidence_out, variance_out)
+    _judge_peak(probability, deviation, step, at_limit, _Weights(*spread), **outputs)

@@ -9,6 +9,7 @@ import warp as wp
 from lfgpu.contract import LocalEstimate, StructureFilters
 
 from .memory import pixel_type
+from .pixels import Field, pixelwise
 from .threads import launch_rows, once
 
 wp.set_module_options({"enable_backward": False})
@@ -94,63 +95,55 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     return SimpleNamespace(along=along_kernel, across=across_kernel)
 
 
-@wp.kernel
-def _slope_kernel(
+@pixelwise("lfgpu_slopes")
+def _find_slopes(
+    y: int,
+    x: int,
     tensor: wp.array2d(dtype=wp.vec3f),
     across_outer: wp.array(dtype=float),
     shear: float,
     floor: float,
-    row: int,
-    lanes: int,
-    disparity_out: wp.array2d(dtype=float),
-    coherence_out: wp.array2d(dtype=float),
+    disparity_out: Field,
+    coherence_out: Field,
 ):
     """Outer smoothing across the views, then the direction and coherence of the tensor."""
-    i = wp.tid()
-    y = row + i / lanes
-    lane = i % lanes
     last = tensor.shape[1] - 1
     radius = across_outer.shape[0] / 2
-    for x in range(lane, tensor.shape[1], lanes):
-        t = wp.vec3f()
-        for k in range(across_outer.shape[0]):
-            t = t + tensor[y, wp.clamp(x + k - radius, 0, last)] * across_outer[k]
-        difference = t[0] - t[2]
-        trace = t[0] + t[2] + floor * floor
-        disparity_out[y, x] = shear + wp.tan(0.5 * wp.atan2(2.0 * t[1], difference))
-        coherence_out[y, x] = (difference * difference + 4.0 * t[1] * t[1]) / (trace * trace)
+    t = wp.vec3f()
+    for k in range(across_outer.shape[0]):
+        t = t + tensor[y, wp.clamp(x + k - radius, 0, last)] * across_outer[k]
+    difference = t[0] - t[2]
+    trace = t[0] + t[2] + floor * floor
+    disparity_out[y, x] = shear + wp.tan(0.5 * wp.atan2(2.0 * t[1], difference))
+    coherence_out[y, x] = (difference * difference + 4.0 * t[1] * t[1]) / (trace * trace)
 
 
-@wp.kernel
-def _keep_kernel(
-    disparity: wp.array2d(dtype=float),
-    coherence: wp.array2d(dtype=float),
-    trusted: wp.array2d(dtype=float),
+@pixelwise("lfgpu_keep_more_coherent")
+def keep_more_coherent(
+    y: int,
+    x: int,
+    disparity: Field,
+    coherence: Field,
+    trusted: Field,
     shear: float,
     reach: float,
     unit: float,
     low: float,
     high: float,
     vertical: int,
-    row: int,
-    lanes: int,
-    best_disparity: wp.array2d(dtype=float),
-    best_coherence: wp.array2d(dtype=float),
+    best_disparity_out: Field,
+    best_coherence_out: Field,
 ):
-    i = wp.tid()
-    y = row + i / lanes
-    lane = i % lanes
-    for x in range(lane, best_disparity.shape[1], lanes):
-        down = wp.where(vertical == 1, x, y)
-        across = wp.where(vertical == 1, y, x)
-        found = disparity[down, across]
-        better = wp.abs(found - shear) <= reach and coherence[down, across] > best_coherence[y, x]
-        if trusted and trusted[down, across] == 0.0:
-            better = False
-        found = found / unit
-        if better and found >= low and found <= high:
-            best_disparity[y, x] = found
-            best_coherence[y, x] = coherence[down, across]
+    down = wp.where(vertical == 1, x, y)
+    across = wp.where(vertical == 1, y, x)
+    found = disparity[down, across]
+    better = wp.abs(found - shear) <= reach and coherence[down, across] > best_coherence_out[y, x]
+    if trusted and trusted[down, across] == 0.0:
+        better = False
+    found = found / unit
+    if better and found >= low and found <= high:
+        best_disparity_out[y, x] = found
+        best_coherence_out[y, x] = coherence[down, across]
 
 
 def structure_tensor(
@@ -167,24 +160,6 @@ def structure_tensor(
         launch_rows(kernels.along, along, value, slope)
         across = [value, slope, filters.across_value, filters.across_slope, filters.along_outer]
         launch_rows(kernels.across, across, tensor)
-        launch_rows(_slope_kernel, [tensor, filters.across_outer, shear, floor], disparity_out, coherence_out)
+        _find_slopes(tensor, filters.across_outer, shear, floor, disparity_out, coherence_out)
 
     return evaluate
-
-
-def keep_more_coherent(
-    disparity: Any,
-    coherence: Any,
-    trusted: Any,
-    *,
-    shear: float,
-    reach: float,
-    unit: float,
-    low: float,
-    high: float,
-    vertical: bool,
-    best_disparity_out: Any,
-    best_coherence_out: Any,
-) -> None:
-    inputs = [disparity, coherence, trusted, shear, reach, unit, low, high, int(vertical)]
-    launch_rows(_keep_kernel, inputs, best_disparity_out, best_coherence_out)

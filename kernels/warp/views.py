@@ -12,6 +12,7 @@ from lfgpu.contract import Normalization
 
 from .memory import pixel_type
 from .native_code import kernel
+from .pixels import Volume, pixelwise
 from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
 
 wp.set_module_options({"enable_backward": False})
@@ -23,36 +24,36 @@ _BATCH = 16  # views at a time on a GPU: what lies between two passes stays in i
 
 
 @once
-def _copy_kernels(channels: int, stored: Any) -> SimpleNamespace:
-    pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
-    module = f"lfgpu_views_{channels}_{stored.__name__}"
+def _intensities(channels: int, stored: Any) -> Any:
+    pixel = pixel_type(channels)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def intensities_kernel(
-        views: wp.array3d(dtype=stored_pixel),
+    @pixelwise(f"lfgpu_intensities_{channels}_{stored.__name__}")
+    def intensities(
+        y: int,
+        x: int,
+        views: wp.array3d(dtype=pixel_type(channels, stored)),
         index: int,
-        valid: wp.array3d(dtype=float),
+        valid: Volume,
         scale: float,
         fill: float,
-        row: int,
-        lanes: int,
         image_out: wp.array2d(dtype=pixel),
     ):
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
-        for x in range(lane, image_out.shape[1], lanes):
-            value = pixel()
-            stored_value = views[index, y, x]
+        value = pixel()
+        stored_value = views[index, y, x]
+        for c in range(wp.static(channels)):
+            value[c] = scale * float(stored_value[c])
+        if valid and valid[index, y, x] == 0.0:
             for c in range(wp.static(channels)):
-                value[c] = scale * float(stored_value[c])
-            if valid and valid[index, y, x] == 0.0:
-                for c in range(wp.static(channels)):
-                    value[c] = fill
-            image_out[y, x] = value
+                value[c] = fill
+        image_out[y, x] = value
 
-    copy = kernel("views.h", "copy_line", module=module, Stored=stored_pixel)
-    return SimpleNamespace(intensities=intensities_kernel, line=copy)
+    return intensities
+
+
+@once
+def _line_kernel(channels: int, stored: Any) -> Any:
+    module = f"lfgpu_lines_{channels}_{stored.__name__}"
+    return kernel("views.h", "copy_line", module=module, Stored=pixel_type(channels, stored))
 
 
 @once
@@ -61,9 +62,8 @@ def indices(line: tuple[int, ...], device: str) -> Any:
     return wp.array(np.array(line, np.int32), dtype=int, device=device)
 
 
-def intensities(views: Any, index: int, valid: Any, *, scale: float, fill: float, image_out: Any) -> None:
-    kernels = _copy_kernels(views.dtype._length_, views.dtype._wp_scalar_type_)
-    launch_rows(kernels.intensities, [views, index, valid, scale, fill], image_out)
+def intensities(views: Any, *arguments: Any, **named: Any) -> None:
+    _intensities(views.dtype._length_, views.dtype._wp_scalar_type_)(views, *arguments, **named)
 
 
 def line_of_views(
@@ -71,9 +71,9 @@ def line_of_views(
 ) -> None:
     if views.dtype is wp.float32:  # a field is an image of one channel
         views, epis_out = (array.view(pixel_type(1)) for array in (views, epis_out))
-    kernels = _copy_kernels(views.dtype._length_, views.dtype._wp_scalar_type_)
+    copy = _line_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
     chosen = indices(tuple(int(index) for index in line), views.device.alias)
-    launch_rows(kernels.line, [views, chosen, int(vertical), *corner], epis_out)
+    launch_rows(copy, [views, chosen, int(vertical), *corner], epis_out)
 
 
 @once

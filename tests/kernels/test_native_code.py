@@ -52,7 +52,7 @@ ARCHITECTURE = 80  # compute capability
 def gpu_kernels() -> Iterator[Any]:
     """One specialisation at least of each kernel for GPUs, for each way in which it differs by preprocessor."""
     byte, float16 = wp.uint8, wp.float16
-    yield views._copy_kernels(3, byte)
+    yield views._line_kernel(3, byte)
     yield views._normalization_kernels(3, byte, float16, 1.0)
     yield range_search._shrink_kernel(3, byte, 1)
     for name in ("shrink_again", "add_rows", "subtract_means", "add_differences", "find_costs"):
