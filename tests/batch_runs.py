@@ -18,7 +18,7 @@ from lfgpu.batch.manifest import DONE, read_manifest
 from lfgpu.batch.run import _jobs
 from lfgpu.batch.work import Settings
 from lfgpu.cli import app
-from lfgpu.io import read_result, write_hci
+from lfgpu.io import load, write_hci
 from lfgpu.methods import preset
 
 pytest.importorskip("distributed", reason="a batch needs Dask: pip install -e '.[batch]'")
@@ -61,7 +61,7 @@ def assert_same_maps(a: Path, b: Path) -> None:
     assert names == {entry["item"] for entry in read_manifest(b).values() if entry["status"] == DONE}
     for name in names:
         assert (a / name / "disparity.pfm").read_bytes() == (b / name / "disparity.pfm").read_bytes(), name
-        ours, theirs = read_result(a / name / "result.npz"), read_result(b / name / "result.npz")
+        ours, theirs = load(a / name / "result.npz"), load(b / name / "result.npz")
         assert np.array_equal(ours.confidence, theirs.confidence), name
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs, lfgpu, local
 
+import lfgpu
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
 from lfgpu.batch.cluster import Cluster
@@ -21,7 +22,7 @@ from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.contract import Device
-from lfgpu.io import read, read_result
+from lfgpu.io import read, read_map
 from lfgpu.methods import method_of, preset
 
 # --- what there is to do ---
@@ -136,7 +137,7 @@ def test_an_item_comes_out_as_from_estimate_depth(scene_folders: Path, tmp_path:
     entry = work(job, "cpu")
     lf = read(scene_folders / "scene_0")
     expected = estimate_depth(lf, config="fast", device="cpu")
-    result = read_result(tmp_path / "scene_0" / "result.npz")
+    result = lfgpu.load(tmp_path / "scene_0" / "result.npz")
     assert np.array_equal(result.disparity, expected.disparity)
     assert np.array_equal(result.confidence, expected.confidence)
     assert entry["status"] == DONE
@@ -154,7 +155,7 @@ def test_a_pipeline_serves_the_next_item_and_changes_nothing(scene_folders: Path
     for job in done:
         lf = read(job.item.source)
         expected = estimate_depth(lf, config=settings.config, disparity_range=RANGE, device="cpu")
-        assert np.array_equal(read_result(tmp_path / job.item.name / "result.npz").disparity, expected.disparity)
+        assert np.array_equal(read_map(tmp_path / job.item.name / "result.npz"), expected.disparity)
 
 
 def test_frames_have_range_and_noise_of_the_first_that_can_be_read(scene_folders: Path, tmp_path: Path) -> None:
@@ -171,7 +172,7 @@ def test_frames_have_range_and_noise_of_the_first_that_can_be_read(scene_folders
     for name in ("frame_1", "frame_2"):
         pipeline.upload(read(frames / name).views)
         pipeline.run()
-        assert np.array_equal(read_result(tmp_path / "out" / name / "result.npz").disparity, pipeline.disparity()), name
+        assert np.array_equal(read_map(tmp_path / "out" / name / "result.npz"), pipeline.disparity()), name
 
 
 def test_what_is_wrong_with_an_item_is_one_sentence(scene_folders: Path, tmp_path: Path) -> None:
@@ -250,7 +251,7 @@ def test_depth_of_a_name_that_is_not_utf_8_is_saved(scene_folders: Path, tmp_pat
     shutil.copytree(scene_folders / "scene_0", folder)
     done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
     assert done.exit_code == 0, done.output
-    assert read_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"
+    assert lfgpu.load(tmp_path / "out" / "result.npz").name == "bad\\udcff"
 
 
 # --- batches on real processes ---

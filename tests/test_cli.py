@@ -14,7 +14,7 @@ from lfgpu import get_threads, list_backends, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import demo, summary
 from lfgpu.data.lightfield import LightField
-from lfgpu.io import read, read_map, read_result, write_hci, write_pfm
+from lfgpu.io import load, read, read_map, write_hci, write_pfm
 from lfgpu.machine import device_name
 from lfgpu.methods import preset
 from lfgpu.metrics import evaluate, sparsification
@@ -41,7 +41,7 @@ def test_depth_writes_what_reads_back(solved: tuple[Path, Outcome], scene: Light
     assert outcome.code == 0
     assert outcome.err == ""
     assert {file.name for file in folder.iterdir()} == OUTPUTS
-    result = read_result(folder / "result.npz")
+    result = load(folder / "result.npz")
     assert result.disparity.shape == scene.size
     assert result.disparity_range == (-2, 2)
     assert result.config == preset("surest")
@@ -58,7 +58,7 @@ def test_depth_says_what_it_did(solved: tuple[Path, Outcome]) -> None:
     assert re.search(rf"^  \S*lfgpu view \S+ {re.escape(str(solved[0]))}$", said, re.MULTILINE)
     for words in ("25 of 25", "56 x 48 px", "row 2, column 2", "larger is nearer (given range -2.00 to 2.00)"):
         assert words in said
-    result = read_result(solved[0] / "result.npz")
+    result = load(solved[0] / "result.npz")
     assert " ".join(result.status.split()) in " ".join(said.split())
     assert all(name in said for name in (*OUTPUTS, *result.stages, *result.timings.keys() - {"total"}))
 
@@ -76,7 +76,7 @@ def test_scores_and_confidence_are_those_of_the_package(of: str, solved: tuple[P
     if of != "depth":
         outcome = lfgpu("eval", folder, recorded if "field" in of else recorded / "gt_disp_lowres.pfm")
     assert outcome.code == 0
-    truth, result = read_map(recorded / "gt_disp_lowres.pfm"), read_result(folder / "result.npz")
+    truth, result = read_map(recorded / "gt_disp_lowres.pfm"), load(folder / "result.npz")
     for name, values in result.stages.items():
         m = evaluate(values, truth)
         expected = [m.mse_100, m.badpix_07, m.badpix_03, m.badpix_01, m.q25, m.rmse, m.undefined]
@@ -103,7 +103,7 @@ def test_depth_with_options(views: Path, out: Path) -> None:
         "--format", "hci", "--preset", "paper",
     )  # fmt: skip
     assert outcome.code == 0, outcome.err
-    result = read_result(out / "result.npz")
+    result = load(out / "result.npz")
     assert result.position == (1, 2)
     assert len(result.trace) <= 2
     assert result.config.prior.window == 5
@@ -129,7 +129,7 @@ def test_maps_of_all_views_lie_beside_that_of_the_reference(recorded: Path, scen
         assert "larger is nearer" in str(maps["convention"])
         reference = maps["disparities"][scene.reference_index]
     assert np.isfinite(reference).mean() > 0.95
-    apart = np.abs(reference - read_result(out / "result.npz").disparity)
+    apart = np.abs(reference - load(out / "result.npz").disparity)
     assert np.nanmean(apart > 0.05) < 0.18
 
 

@@ -100,7 +100,7 @@ def raising(error: BaseException) -> Callable[..., None]:
 
 
 @pytest.mark.parametrize(
-    "where", ["lfgpu.methods.matching.aggregation.SemiGlobal.__call__", "lfgpu.io.write_result", "lfgpu.io.read"]
+    "where", ["lfgpu.methods.matching.aggregation.SemiGlobal.__call__", "lfgpu.cli.outputs.save", "lfgpu.io.read"]
 )
 def test_interruption_leaves_nothing(
     where: str, recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -182,7 +182,7 @@ def test_errors_of_the_machine(
 
 
 def test_full_disk_leaves_nothing(recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("lfgpu.io.write_result", raising(OSError(errno.ENOSPC, "No space left on device")))
+    monkeypatch.setattr("lfgpu.cli.outputs.save", raising(OSError(errno.ENOSPC, "No space left on device")))
     refused(lfgpu("depth", recorded, "-o", out, *RANGE), "No space left on device")
     assert not list(tmp_path.iterdir())
 

@@ -26,7 +26,7 @@ from lfgpu.config import parameters
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read_result, write_hci, write_pfm
+from lfgpu.io import load, write_hci, write_pfm
 from lfgpu.machine import device_name
 from lfgpu.methods import PRESETS, method_of
 from lfgpu.metrics import Reliability, evaluate
@@ -114,7 +114,7 @@ def test_report_says_all_and_needs_no_network(preset: str, folder: Path, tmp_pat
     assert all(address.startswith("#") for address in re.findall(r"url\(([^)]*)\)", page))
     assert set(re.findall(r"https?://[^/]*", page)) == {"http://www.w3.org"}, "names of SVG, which nobody fetches"
     assert all(min(picture.shape[:2]) > 10 for picture in pictures(page))
-    result = read_result(out / "result.npz")
+    result = load(out / "result.npz")
     for name, _ in parameters(result.config):
         assert f"<code>{name}</code>" in page
     for version in result.versions.values():

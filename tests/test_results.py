@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DepthResult
+from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import holds_result, read_map, read_result, write_result
+from lfgpu.io import load, read_map, save
 from lfgpu.methods import PRESETS
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from tests.made import made_result
@@ -47,8 +47,8 @@ def a_result(**changes: Any) -> DepthResult:
 )
 def test_everything_comes_back(geometry: Geometry | None, tmp_path: Path) -> None:
     written = a_result(geometry=geometry)
-    write_result(written, tmp_path / "r.npz")
-    read = read_result(tmp_path / "r.npz")
+    save(written, tmp_path / "r.npz")
+    read = load(tmp_path / "r.npz")
     for name in MAPS:
         np.testing.assert_array_equal(getattr(read, name), getattr(written, name))
         assert getattr(read, name).dtype == np.float32
@@ -62,7 +62,7 @@ def test_everything_comes_back(geometry: Geometry | None, tmp_path: Path) -> Non
 
 def test_others_can_read_the_file_without_lfgpu(tmp_path: Path) -> None:
     written = a_result(geometry=Geometry(480.0, 0.1))
-    write_result(written, tmp_path / "r.npz")
+    save(written, tmp_path / "r.npz")
     with np.load(tmp_path / "r.npz", allow_pickle=False) as arrays:
         assert written.depth is not None
         np.testing.assert_array_equal(arrays["depth"], written.depth)
@@ -74,21 +74,18 @@ def test_others_can_read_the_file_without_lfgpu(tmp_path: Path) -> None:
 
 
 def test_only_results_are_taken_for_results(tmp_path: Path) -> None:
-    write_result(a_result(), tmp_path / "r.npz")
+    save(a_result(), tmp_path / "r.npz")
     np.savez(tmp_path / "other.npz", disparity=np.zeros(SHAPE))
-    (tmp_path / "text.npz").write_text("no zip")
-    found = [holds_result(tmp_path / name) for name in ("r.npz", "other.npz", "text.npz", "missing.npz")]
-    assert found == [True, False, False, False]
+    assert isinstance(load(tmp_path / "r.npz"), DepthResult)
+    assert isinstance(load(tmp_path / "other.npz"), DisparityMap)
 
 
 def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
-    write_result(a_result(), tmp_path / "r.npz")
+    save(a_result(), tmp_path / "r.npz")
     before = (tmp_path / "r.npz").read_bytes()
     with pytest.raises(ValueError, match="JSON"):
-        write_result(a_result(timings={"total": float("nan")}), tmp_path / "r.npz")
+        save(a_result(timings={"total": float("nan")}), tmp_path / "r.npz")
     assert (tmp_path / "r.npz").read_bytes() == before
-    with pytest.raises(LightFieldError, match=r"stored as \.npz"):
-        write_result(a_result(), tmp_path / "r.npy")
     assert [file.name for file in tmp_path.iterdir()] == ["r.npz"]
 
 
@@ -103,25 +100,11 @@ def changed(content: bytes, change: Callable[[dict[str, Any], dict[str, Any]], N
     return buffer.getvalue()
 
 
-def npy(array: np.ndarray) -> bytes:
-    buffer = io.BytesIO()
-    np.save(buffer, array)
-    return buffer.getvalue()
-
-
-def other_npz() -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, disparity=np.zeros(SHAPE))
-    return buffer.getvalue()
-
-
 DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "empty": (lambda _: b"", "cannot be read as NumPy data: File is not a zip file"),
-    "text": (lambda _: b"hello", "File is not a zip file"),
+    "empty": (lambda _: b"", "cannot be read as NumPy data"),
+    "text": (lambda _: b"hello", "cannot be read as NumPy data"),
     "half": (lambda whole: whole[: len(whole) // 2], "File is not a zip file"),
     "a byte": (lambda whole: whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], "NumPy data: Bad CRC"),
-    "one array": (lambda _: npy(np.zeros(SHAPE)), "File is not a zip file"),
-    "other npz": (lambda _: other_npz(), "no array 'lfgpu'"),
     "not JSON": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("{"))), "damaged result"),
     "a list": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("[]"))), "damaged result"),
     "no status": (lambda whole: changed(whole, lambda _, about: about.pop("status")), "it has no 'status'"),
@@ -136,17 +119,17 @@ DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
 
 @pytest.mark.parametrize("damage", DAMAGES)
 def test_what_is_no_result_is_refused(damage: str, tmp_path: Path) -> None:
-    write_result(a_result(), tmp_path / "good.npz")
+    save(a_result(), tmp_path / "good.npz")
     bad, words = tmp_path / "bad.npz", DAMAGES[damage][1]
     bad.write_bytes(DAMAGES[damage][0]((tmp_path / "good.npz").read_bytes()))
     with pytest.raises(LightFieldError, match=words) as caught:
-        read_result(bad)
+        load(bad)
     assert str(bad) in str(caught.value)
 
 
 def test_a_result_of_version_0_2_can_be_read() -> None:
     """It has 46 parameters, of which this version keeps a few."""
-    result = read_result(Path(__file__).parent / "files" / "result-0.2.npz")
+    result = load(Path(__file__).parent / "files" / "result-0.2.npz")
     assert result.disparity.shape == (24, 28)
     assert -1.6 <= np.nanmin(result.disparity) < np.nanmax(result.disparity) <= 1.6
     assert result.config == PRESETS["fast"].with_values({"sweep.step": 0.3})
@@ -160,18 +143,12 @@ def test_parameters_that_come_and_go_make_no_file_unreadable(name: str, tmp_path
         about["config"]["prior"]["breadth"] = 3
         about["config"]["later"] = {"depth": 1.0}
 
-    write_result(a_result(config=PRESETS[name]), tmp_path / "r.npz")
+    save(a_result(config=PRESETS[name]), tmp_path / "r.npz")
     (tmp_path / "other.npz").write_bytes(changed((tmp_path / "r.npz").read_bytes(), change))
-    assert read_result(tmp_path / "other.npz").config == PRESETS[name]
+    assert load(tmp_path / "other.npz").config == PRESETS[name]
 
 
 def test_pickles_are_not_opened(tmp_path: Path) -> None:
     np.savez(tmp_path / "bad.npz", lfgpu=np.array([print], dtype=object))
     with pytest.raises(LightFieldError, match="it holds Python objects"):
-        read_result(tmp_path / "bad.npz")
-
-
-@pytest.mark.parametrize(("name", "words"), [("missing.npz", "does not exist"), (".", "cannot be read")])
-def test_what_is_not_there(name: str, words: str, tmp_path: Path) -> None:
-    with pytest.raises(LightFieldError, match=words):
-        read_result(tmp_path / name)
+        load(tmp_path / "bad.npz")

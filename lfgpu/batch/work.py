@@ -215,13 +215,13 @@ def _scores(lf: LightField, result: DepthResult) -> dict[str, float | None] | No
 
 def _write(folder: Path, lf: LightField, result: DepthResult) -> dict[str, float]:
     """Write a result and its pictures into an existing folder; returns the scale of the picture of the map."""
-    from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, write_pfm, write_result
+    from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, save, write_pfm
     from lfgpu.viz.cards import SAVING, limits_of, map_image, view_image
     from lfgpu.viz.panels import rgb
     from lfgpu.viz.scales import ERRORS
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
-    write_result(result, folder / RESULT_FILE)
+    save(result, folder / RESULT_FILE)
     if (depth := result.depth) is not None:
         write_pfm(folder / DEPTH_FILE, depth)
     low, high = limits = limits_of("disparity", result.disparity)

@@ -29,7 +29,7 @@ def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
     """Write a result into an existing folder; returns the files as pairs (name, meaning)."""
     import numpy as np
 
-    from lfgpu.io import write_pfm, write_result
+    from lfgpu.io import write_pfm
     from lfgpu.viz.pictures import write_confidence, write_disparity
 
     write_pfm(folder / DISPARITY_FILE, result.disparity)
@@ -38,15 +38,13 @@ def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
     write_confidence(known, folder / CONFIDENCE_FILE, name=result.name)
     if result.depth is not None:
         write_pfm(folder / DEPTH_FILE, result.depth)
-    write_result(result, folder / RESULT_FILE)
+    save(result, folder / RESULT_FILE)
     return [(name, meaning) for name, meaning in _MEANING.items() if (folder / name).exists()]
 
 
 def write_view_maps(folder: Path, result: ViewsResult) -> list[tuple[str, str]]:
     """Write the maps of all views into an existing folder; returns the files as pairs (name, meaning)."""
-    from lfgpu.io import write_views
-
-    write_views(result, folder / VIEWS_FILE)
+    save(result, folder / VIEWS_FILE)
     return [(VIEWS_FILE, f"consistent maps of all {len(result.disparities)} views")]
 
 

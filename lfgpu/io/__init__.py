@@ -22,7 +22,6 @@ from lfgpu.io.map_formats import (
     writable_format,
 )
 from lfgpu.io.pfm import write_pfm
-from lfgpu.io.results import holds_result, holds_views, read_result, read_views, write_result, write_views
 
 __all__ = [
     "DEPTH_FILE",
@@ -38,16 +37,12 @@ __all__ = [
     "atomic_write",
     "check_writable",
     "holds_map",
-    "holds_result",
-    "holds_views",
     "inside",
     "load",
     "one_map",
     "read",
     "read_map",
     "read_mask",
-    "read_result",
-    "read_views",
     "recognise",
     "result_in",
     "save",
@@ -55,6 +50,4 @@ __all__ = [
     "write_description",
     "write_hci",
     "write_pfm",
-    "write_result",
-    "write_views",
 ]

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import exr, image_maps, numpy_map, pfm, ply
+from lfgpu.io import exr, image_maps, numpy_map, pfm, ply, results
 from lfgpu.io.atomic import atomic_write
 from lfgpu.io.damage import check_fetched, how_to_install, read_as
 from lfgpu.io.folders import not_waited_for
@@ -79,8 +79,8 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
         "NumPy: a result with everything, maps of all views, or a map with its confidence",
         read=numpy_map.read_npz,
         write=numpy_map.write_npz,
-        read_whole=numpy_map.read_whole,
-        write_whole=numpy_map.write_whole,
+        read_whole=results.read_whole,
+        write_whole=results.write_whole,
         recognise=numpy_map.recognise_npz,
     ),
     MapFormat(

@@ -7,22 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import UNKNOWN_IS_NAN, map_about, map_of, parse_about
 from lfgpu.io.folders import head
 from lfgpu.io.numpy_file import MAGIC, header, load_arrays
-from lfgpu.io.results import (
-    arrays_of_result,
-    arrays_of_views,
-    has_array,
-    holds_result,
-    holds_views,
-    read_result,
-    read_views,
-    store,
-)
+from lfgpu.io.results import has_array, holds_views, store
 
 NPZ_KEY = "lfgpu_map"
 """The array of an .npz that holds the metadata of a map by itself."""
@@ -49,18 +39,6 @@ def read_npz(path: Path) -> DisparityMap:
         return DisparityMap(disparity, name=path.name)
     about = parse_about(path, str(arrays[NPZ_KEY]))
     return map_of(path, about, disparity, arrays.get("confidence"), arrays.get("uncertainty"))
-
-
-def write_whole(result: DepthResult | ViewsResult, path: Path) -> None:
-    """Write a result with everything, or the maps of all views."""
-    store(path, arrays_of_result(result) if isinstance(result, DepthResult) else arrays_of_views(result))
-
-
-def read_whole(path: Path) -> DepthResult | ViewsResult | None:
-    """Read what `write_whole` wrote; None for other archives."""
-    if holds_views(path):
-        return read_views(path)
-    return read_result(path) if holds_result(path) else None
 
 
 def recognise_npy(path: Path) -> bool:

@@ -1,7 +1,14 @@
-"""A whole result in one .npz: the maps as arrays, everything else as one JSON text."""
+"""Whole results in one .npz: the maps as arrays, everything else as one JSON text.
+
+The arrays of a result are `disparity`, `confidence`, the map after each stage as `stage_NAME` (such as `stage_sweep`)
+and, with a geometry, `depth` in metres, all float32 [y, x]; `trace`, float64; and `lfgpu`, the rest as one JSON text.
+
+Those of the maps of all views are `disparities` and `confidences`, float32 [n, y, x], with a geometry also `depths` in
+metres; `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of those that were estimated themselves;
+`convention`, a sentence; `timings`, a JSON text; and the result of the reference view with "reference_" before names.
+"""
 
 import json
-import os
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -10,12 +17,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.config import Config, as_dict, restored
+from lfgpu.config import as_dict, restored
 from lfgpu.data.result import DepthResult
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION, DAMAGE, geometry_about, geometry_of
-from lfgpu.io.atomic import atomic_write
 from lfgpu.io.folders import not_waited_for
 from lfgpu.io.numpy_file import load_arrays
 from lfgpu.methods import METHODS
@@ -34,38 +40,19 @@ _REFERENCE = "reference_"  # what those of the reference view begin with among t
 _LAYOUT = 2  # goes up when a file of the old layout can no longer be read as one of the new
 
 
-def write_result(result: DepthResult, path: str | os.PathLike[str]) -> None:
-    """Write a result as .npz; whole or not at all.
-
-    The arrays are `disparity`, `confidence`, the map after each stage as `stage_NAME` (such as `stage_sweep`) and, with
-    a geometry, `depth` in metres, all float32 [y, x]; `trace`, float64; and `lfgpu`, the rest as one JSON text.
-    """
-    _store_whole(Path(path), "a result is", arrays_of_result(result))
+def write_whole(result: DepthResult | ViewsResult, path: Path) -> None:
+    """Write a result with everything, or the maps of all views."""
+    store(path, arrays_of_result(result) if isinstance(result, DepthResult) else arrays_of_views(result))
 
 
-def write_views(result: ViewsResult, path: str | os.PathLike[str]) -> None:
-    """Write the maps of all views as .npz; whole or not at all.
-
-    The arrays are `disparities` and `confidences`, float32 [n, y, x], with a geometry also `depths` in metres;
-    `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of those that were estimated themselves;
-    `convention`, a sentence; `timings`, a JSON text; and the estimate of the reference view by itself under the names
-    that `write_result` gives, with "reference_" before them.
-    """
-    _store_whole(Path(path), "maps of all views are", arrays_of_views(result))
+def read_whole(path: Path) -> DepthResult | ViewsResult | None:
+    """Read what `write_whole` wrote, also in a version of lfgpu with other parameters; None for other archives."""
+    if holds_views(path):
+        return _views_of(path, load_arrays(path, of_maps=True))
+    return _result_of(path, load_arrays(path, of_maps=True)) if has_array(path, ABOUT_KEY) else None
 
 
-def read_result(path: str | os.PathLike[str]) -> DepthResult:
-    """Read what `write_result` wrote, also in a version of lfgpu with other parameters."""
-    path = Path(path)
-    return _result_of(path, _load(path))
-
-
-def read_views(path: str | os.PathLike[str]) -> ViewsResult:
-    """Read what `write_views` wrote."""
-    path = Path(path)
-    arrays = _load(path)
-    if "disparities" not in arrays:
-        raise LightFieldError(f"{path} does not hold maps of all views: it has no array 'disparities'.")
+def _views_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> ViewsResult:
     own = {name.removeprefix(_REFERENCE): a for name, a in arrays.items() if name.startswith(_REFERENCE)}
     reference = _result_of(path, own)
     try:
@@ -84,11 +71,10 @@ def read_views(path: str | os.PathLike[str]) -> ViewsResult:
 
 
 def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
-    if ABOUT_KEY not in arrays:
-        raise LightFieldError(f"{path} is not a result of lfgpu: it has no array {ABOUT_KEY!r}.")
     try:
         about = json.loads(str(arrays[ABOUT_KEY]))
-        result = _result(arrays, about) if _can_be_read(about) else None
+        known = about["layout"] == _LAYOUT and about["config"].get("method") in METHODS
+        result = _result(arrays, about) if known else None
     except DAMAGE as error:
         raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
     if result is None:
@@ -100,20 +86,15 @@ def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
     return result
 
 
-def holds_result(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file is an .npz that `write_result` wrote, going by the names of its arrays only."""
-    return has_array(path, ABOUT_KEY)
-
-
-def holds_views(path: str | os.PathLike[str]) -> bool:
-    """Tell whether a file is an .npz that `write_views` wrote, going by the names of its arrays only."""
+def holds_views(path: Path) -> bool:
+    """Tell whether a file is an .npz with the maps of all views, going by the names of its arrays only."""
     return has_array(path, f"{_REFERENCE}{ABOUT_KEY}")
 
 
-def has_array(path: str | os.PathLike[str], name: str) -> bool:
+def has_array(path: Path, name: str) -> bool:
     """Tell whether a file is an .npz with an array of that name; False for a damaged one."""
     try:
-        not_waited_for(Path(path))
+        not_waited_for(path)
         with zipfile.ZipFile(path) as archive:
             return f"{name}.npy" in archive.namelist()
     except Exception:  # zipfile raises whatever comes to it when a file is damaged; who reads it says what it is
@@ -121,7 +102,7 @@ def has_array(path: str | os.PathLike[str], name: str) -> bool:
 
 
 def arrays_of_views(result: ViewsResult) -> dict[str, NDArray[Any]]:
-    """Return the arrays that `write_views` stores, by name."""
+    """Return the arrays of the maps of all views, by name."""
     arrays: dict[str, NDArray[Any]] = {
         "disparities": result.disparities,
         "confidences": result.confidences,
@@ -137,7 +118,7 @@ def arrays_of_views(result: ViewsResult) -> dict[str, NDArray[Any]]:
 
 
 def arrays_of_result(result: DepthResult) -> dict[str, NDArray[Any]]:
-    """Return the arrays that `write_result` stores, by name."""
+    """Return the arrays of a result, by name."""
     arrays: dict[str, NDArray[Any]] = {
         "disparity": result.disparity,
         "confidence": result.confidence,
@@ -150,13 +131,6 @@ def arrays_of_result(result: DepthResult) -> dict[str, NDArray[Any]]:
     if result.uncertainty is not None:
         arrays["uncertainty"] = result.uncertainty
     return arrays
-
-
-def _store_whole(path: Path, what: str, arrays: dict[str, NDArray[Any]]) -> None:
-    if path.suffix.lower() != ".npz":
-        raise LightFieldError(f"{path} cannot be written: {what} stored as .npz; choose that suffix.")
-    with atomic_write(path) as temporary:
-        store(temporary, arrays)
 
 
 def store(path: Path, arrays: dict[str, NDArray[Any]]) -> None:
@@ -185,17 +159,6 @@ def _about(result: DepthResult) -> dict[str, Any]:
     }
 
 
-def _load(path: Path) -> dict[str, NDArray[Any]]:
-    not_waited_for(path)
-    if not path.exists():
-        raise LightFieldError(f"{path} does not exist; give the result.npz that lfgpu wrote.")
-    return load_arrays(path, of_maps=True)
-
-
-def _can_be_read(about: Mapping[str, Any]) -> bool:
-    return about["layout"] == _LAYOUT and about["config"].get("method") in METHODS
-
-
 def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> DepthResult:
     u, v = (float(value) for value in about["position"])
     low, high = (float(value) for value in about["disparity_range"])
@@ -205,7 +168,7 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         stages={name.removeprefix(_STAGE): values for name, values in arrays.items() if name.startswith(_STAGE)},
         position=(u, v),
         disparity_range=(low, high),
-        config=_config(about["config"]),
+        config=restored(about["config"], METHODS[about["config"]["method"]].presets),  # parameters come and go
         status=str(about["status"]),
         converged=bool(about["converged"]),
         trace=tuple(float(value) for value in arrays["trace"]),
@@ -219,11 +182,6 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
         notes=tuple(str(note) for note in about.get("notes", ())),
         remarks=tuple(printable(str(sentence)) for sentence in about.get("remarks", [])),
     )
-
-
-def _config(about: Mapping[str, Any]) -> Config:
-    """Restore the parameters of a result, also of an older version: parameters come and go, maps do not."""
-    return restored(about, METHODS[about["method"]].presets)
 
 
 def _check_maps(path: Path, result: DepthResult) -> None:

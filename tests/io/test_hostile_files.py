@@ -17,7 +17,7 @@ from samples import picture, refusal, save, save_hci
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
-from lfgpu.io import load, read, read_map, read_result, video
+from lfgpu.io import load, read, read_map, video
 from lfgpu.io.frames import write_frames
 from lfgpu.printable import printable
 
@@ -221,12 +221,12 @@ def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str
     bomb(tmp_path / "result.npz", name, sizes.get(name, (1 << 27,)))
     with zipfile.ZipFile(tmp_path / "result.npz", "a") as archive, archive.open("x.npy", "w") as file:
         np.lib.format.write_array(file, np.zeros(3))
-    for function in (read_result, read_map):
+    for function in (load, read_map):
         assert "claim 53687" in refusal(lambda function=function: function(tmp_path / "result.npz"))
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".pfm", ".png", ".tif", ".exr"])
 def test_pipes_in_place_of_maps_are_not_waited_for(tmp_path: Path, suffix: str) -> None:
     os.mkfifo(tmp_path / f"a{suffix}")
-    for function in (load, read_map, read_result):
+    for function in (load, read_map):
         assert "is neither a file nor a folder" in refusal(lambda function=function: function(tmp_path / f"a{suffix}"))

@@ -11,7 +11,7 @@ from samples import box, picture, refusal, save, save_hci, save_named
 
 from lfgpu import estimate_depth, scenes
 from lfgpu.data.layout import in_pattern
-from lfgpu.io import read, read_result, write_hci
+from lfgpu.io import load, read, write_hci
 from lfgpu.methods import method_of, preset
 from lfgpu.pipelines.verdict import needed_views
 
@@ -116,7 +116,7 @@ def test_fast_maps_are_the_same_from_the_views_that_are_needed(tmp_path: Path) -
     broken = tmp_path / "boxes" / f"input_Cam{unread:03d}.png"
     broken.write_bytes(b"no picture")
     assert lfgpu("depth", tmp_path / "boxes", "-o", tmp_path / "out", "--preset=fast", "--device=cpu").code == 0
-    found, expected = read_result(tmp_path / "out" / "result.npz"), estimate_depth(lf, config="fast", device="cpu")
+    found, expected = load(tmp_path / "out" / "result.npz"), estimate_depth(lf, config="fast", device="cpu")
     for part in ("disparity", "confidence", "uncertainty"):
         np.testing.assert_array_equal(getattr(found, part), getattr(expected, part))
     assert (found.notes, found.remarks) == (expected.notes, expected.remarks)

@@ -10,7 +10,7 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu.data.lightfield import LightField
-from lfgpu.io import write_hci, write_result
+from lfgpu.io import save, write_hci
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer
 from tests.viewer.page import HOLE, SIZE, Page
@@ -37,7 +37,7 @@ def files(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     result = estimate_depth(lf, config="fast", disparity_range=(-2, 2))
     disparity = result.disparity.copy()
     disparity[HOLE[0] : HOLE[1], HOLE[2] : HOLE[3]] = np.nan
-    write_result(replace(result, disparity=disparity), folder / "fast" / "result.npz")
+    save(replace(result, disparity=disparity), folder / "fast" / "result.npz")
     return folder
 
 

@@ -18,7 +18,7 @@ import pytest
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import write_hci, write_result
+from lfgpu.io import save, write_hci
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer
 from lfgpu.viewer.answers import DATA
@@ -231,7 +231,7 @@ def test_text_from_files_does_not_become_part_of_the_page(browser: Any, lf: Ligh
     folder = tmp_path / _PAYLOAD.replace("/", ".")
     folder.mkdir()
     result = estimate_depth(lf, config="fast", disparity_range=(-2, 2))
-    write_result(replace(result, status=_PAYLOAD, device=_PAYLOAD, backend=_PAYLOAD), folder / "result.npz")
+    save(replace(result, status=_PAYLOAD, device=_PAYLOAD, backend=_PAYLOAD), folder / "result.npz")
     write_hci(lf, tmp_path / "boxes")
     with Viewer.of([tmp_path / "boxes", folder], port=0) as viewer:
         page = Page(browser, viewer)
