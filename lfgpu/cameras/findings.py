@@ -82,39 +82,25 @@ def placement(lf: LightField, cameras: Cameras, *, single: bool = True) -> tuple
     def share(pixels: float) -> str:
         return f"{100 * abs(pixels) / radius:.2g} %"
 
-    def line_up(
-        values: Float64Array,
-        errors: Float64Array,
-        limits: tuple[float, float],
-        together: Callable[[float], str],
-        alone: Callable[[Float64Array], str],
-    ) -> list[str]:
-        remedy = "line {} up with `lfgpu rectify --refine`."
-        return _found(lf, values, errors, limits, together, alone, remedy, single=single)
-
-    return (
-        *line_up(
-            cameras.shift,
-            cameras.shift_error,
-            (OUT_OF_LINE, MOVED),
+    kinds = (
+        (
+            *(cameras.shift, cameras.shift_error, (OUT_OF_LINE, MOVED)),
             lambda rms: f"are out of line by {rms:.2g} px (rms along each axis)",
             lambda rest: f"{_direction(*rest)} where it should be",
         ),
-        *line_up(
-            turned,
-            turned_error,
-            (OUT_OF_SHAPE, TURNED),
+        (
+            *(turned, turned_error, (OUT_OF_SHAPE, TURNED)),
             lambda rms: f"are turned against each other by {degrees(rms)} (rms)",
             lambda rest: f"{degrees(rest[0])} turned {'clockwise' if rest[0] > 0 else 'anticlockwise'}",
         ),
-        *line_up(
-            scaled,
-            scaled_error,
-            (OUT_OF_SHAPE, TURNED),
+        (
+            *(scaled, scaled_error, (OUT_OF_SHAPE, TURNED)),
             lambda rms: f"are scaled against each other by {share(rms)} (rms)",
             lambda rest: f"{share(rest[0])} {'larger' if rest[0] > 0 else 'smaller'}",
         ),
     )
+    remedy = "line {} up with `lfgpu rectify --refine`."
+    return tuple(said for kind in kinds for said in _found(lf, *kind, remedy, single=single))
 
 
 def brightness(lf: LightField, cameras: Cameras, *, single: bool = True) -> tuple[str, ...]:

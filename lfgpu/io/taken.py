@@ -17,8 +17,14 @@ def told(light_field: LightField, name: str, *, order: str, transpose: bool, fli
     if transpose or flip:
         ways = [*(["rows and columns swapped"] if transpose else []), *([f"turned round along {flip}"] if flip else [])]
         places += f"; {', '.join(ways)}, as told"
-    pictures = ", ".join([*_changes(light_field), _valid(light_field)])
-    lengths = reading.lengths or _lengths(light_field.geometry)
+    notes, valid = light_field.notes, light_field.valid
+    changes = [text for text in (TURNED, INVERTED, LINEAR) if any(text[1:] in note for note in notes)]
+    seen = "all pixels are valid"
+    if valid is not None:
+        seen = f"{100 * float(valid.mean()):.1f} % of the pixels are valid, as masks or dark corners say"
+    pictures = ", ".join([*(changes or ["oriented as they are stored"]), seen])
+    none = "none: there is disparity only"
+    lengths = reading.lengths or (none if light_field.geometry is None else "metres, from the files")
     done = replace(reading, places=places, pictures=pictures, lengths=lengths, transpose=transpose, flip=flip)
     return replace(light_field, reading=done)
 
@@ -51,19 +57,3 @@ def check_unit(unit: object) -> None:
     """Raise LightFieldError unless `unit` is None or the name of a unit of lengths."""
     if unit is not None and unit not in UNITS:
         raise LightFieldError(f"unit must be one of {', '.join(UNITS)}, not {unit!r:.60}.")
-
-
-def _changes(light_field: LightField) -> list[str]:
-    """Describe how pictures differ from the files."""
-    changes = [text for text in (TURNED, INVERTED, LINEAR) if any(text[1:] in note for note in light_field.notes)]
-    return changes or ["oriented as they are stored"]
-
-
-def _valid(light_field: LightField) -> str:
-    if light_field.valid is None:
-        return "all pixels are valid"
-    return f"{100 * float(light_field.valid.mean()):.1f} % of the pixels are valid, as masks or dark corners say"
-
-
-def _lengths(geometry: Geometry | None) -> str:
-    return "none: there is disparity only" if geometry is None else "metres, from the files"

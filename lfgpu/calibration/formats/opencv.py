@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera
-from lfgpu.calibration.formats.entries import camera_of, entries_of, numbers, whole
+from lfgpu.calibration.formats.entries import camera_of, entries_of, numbers
 from lfgpu.errors import LightFieldError
 
 _MATRIX = ("K", "camera_matrix", "cameraMatrix", "intrinsics")
@@ -83,7 +83,7 @@ def _camera(entry: Mapping[str, Any], name: str) -> Camera:
     )
 
 
-_LENSES = {"radtan": "pinhole", "equidistant": "fisheye", "none": "pinhole"}
+_IS_FISHEYE = {"radtan": False, "equidistant": True, "none": False}
 
 
 def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
@@ -95,7 +95,7 @@ def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
     for name in names:
         with entries_of(path, name):
             entry = table[name]
-            if entry["camera_model"] != "pinhole" or entry["distortion_model"] not in _LENSES:
+            if entry["camera_model"] != "pinhole" or entry["distortion_model"] not in _IS_FISHEYE:
                 raise LightFieldError(
                     f"{name} is {entry['camera_model']} with {entry['distortion_model']}; lenses that are known are "
                     "pinhole with radtan, equidistant or none."
@@ -103,21 +103,10 @@ def kalibr_cameras(path: Path, table: Mapping[Any, Any]) -> list[Camera]:
             if found:
                 with np.errstate(all="ignore"):  # a camera is asked for numbers that are finite
                     pose = numbers(entry["T_cn_cnm1"], 4, 4) @ pose
-            fx, fy, cx, cy = numbers(entry["intrinsics"], 4).tolist()
-            width, height = (whole(side) for side in numbers(entry["resolution"], 2))
-            lens = tuple(numbers(entry.get("distortion_coeffs", ()), -1).tolist())
-            found.append(
-                Camera(
-                    size=(height, width),
-                    focal_length=(fx, fy),
-                    principal_point=(cx, cy),
-                    distortion=lens if any(lens) else (),
-                    model=_LENSES[entry["distortion_model"]],
-                    rotation=pose[:3, :3],
-                    translation=pose[:3, 3],
-                    name=name,
-                )
-            )
+            fx, fy, cx, cy = numbers(entry["intrinsics"], 4)
+            matrix, lens = np.array([[fx, 0, cx], [0, fy, cy]]), numbers(entry.get("distortion_coeffs", ()), -1)
+            size, is_fisheye = numbers(entry["resolution"], 2), _IS_FISHEYE[entry["distortion_model"]]
+            found.append(camera_of(matrix, lens, pose[:3, :3], pose[:3, 3], size, is_fisheye, name))
     if not found:
         raise LightFieldError(f"{path} has no cam0, cam1, ...; give a camchain of Kalibr.")
     return found

@@ -45,13 +45,11 @@ def _camera(index: int, entry: Any) -> Camera:
         raise LightFieldError(
             f"cameras[{index}] has an unknown entry {unknown[0]!r}; known are {', '.join(sorted(_KNOWN))}."
         )
-    height, width = (whole(side) for side in numbers(entry["size"], 2))
-    fx, fy = numbers(entry["focal_length"], 2).tolist()
-    cx, cy = numbers(entry["principal_point"], 2).tolist()
+    height, width = numbers(entry["size"], 2)
     return Camera(
-        size=(height, width),
-        focal_length=(fx, fy),
-        principal_point=(cx, cy),
+        size=(whole(height), whole(width)),
+        focal_length=tuple(numbers(entry["focal_length"], 2).tolist()),
+        principal_point=tuple(numbers(entry["principal_point"], 2).tolist()),
         distortion=tuple(numbers(entry.get("distortion", ()), -1).tolist()),
         model=str(entry.get("model", "pinhole")),
         rotation=numbers(entry["rotation"], 3, 3),

@@ -64,28 +64,14 @@ class Camera:
 
     def facts(self) -> list[tuple[str, str]]:
         """Return (label, text) of what is known."""
-        lens = [
-            *([f"{self.focal_length_mm:.4g} mm"] if self.focal_length_mm is not None else []),
-            *([f"f/{self.f_number:.3g}"] if self.f_number is not None else []),
-            *([f"{self.exposure_s:.3g} s"] if self.exposure_s is not None else []),
-            *([f"ISO {self.iso:.0f}"] if self.iso is not None else []),
-        ]
-        array = self.microlenses
-        return [
-            *([("camera", ", ".join(filter(None, (self.model, self.taken))))] if self.model or self.taken else []),
-            *([("lens", ", ".join(lens))] if lens else []),
-            *(
-                [
-                    (
-                        "microlenses",
-                        f"{array.pitch:.4g} px apart, turned by {math.degrees(array.rotation):.3f} degrees, as the "
-                        "camera says",
-                    )
-                ]
-                if array is not None
-                else []
-            ),
-        ]
+        numbers = (self.focal_length_mm, self.f_number, self.exposure_s, self.iso)
+        texts = ("{:.4g} mm", "f/{:.3g}", "{:.3g} s", "ISO {:.0f}")
+        lens = [text.format(number) for number, text in zip(numbers, texts, strict=True) if number is not None]
+        facts = {"camera": ", ".join(filter(None, (self.model, self.taken))), "lens": ", ".join(lens)}
+        if (array := self.microlenses) is not None:
+            turned = f"turned by {math.degrees(array.rotation):.3f} degrees, as the camera says"
+            facts["microlenses"] = f"{array.pitch:.4g} px apart, {turned}"
+        return [(label, text) for label, text in facts.items() if text]
 
 
 def _microlenses(metadata: Members) -> MicrolensArray | None:
