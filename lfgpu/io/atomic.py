@@ -5,9 +5,10 @@ one that writes there tells remnants from what others are writing, and removes t
 """
 
 import os
+import re
 import secrets
 import shutil
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -65,6 +66,13 @@ def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
             if not target.is_dir():
                 raise
             _move_files(temporary, target)  # another process has made it meanwhile
+
+
+def check_no_others(out: str | os.PathLike[str], new: Container[str], ours: re.Pattern[str]) -> None:
+    """Raise LightFieldError if a folder holds other files of names that are `ours` than the `new` ones."""
+    names = sorted(path.name for path in Path(out).iterdir()) if Path(out).is_dir() else []
+    if other := next((name for name in names if ours.fullmatch(name) and name not in new), None):
+        raise LightFieldError(f"{out} holds {other} of another light field; choose an empty folder.")
 
 
 def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:

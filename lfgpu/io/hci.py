@@ -12,9 +12,9 @@ import numpy as np
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io.atomic import atomic_folder
+from lfgpu.io.atomic import atomic_folder, check_no_others
 from lfgpu.io.damage import check_fetched, naming
-from lfgpu.io.folders import entries, image_files
+from lfgpu.io.folders import image_files
 from lfgpu.io.grid import by_place, read_grid
 from lfgpu.io.images import check_size, mask_beside
 from lfgpu.io.map_formats import read_map
@@ -155,6 +155,7 @@ DEPTH_FILE = "gt_depth_lowres.pfm"
 MASK_FILE = "valid_mask.png"
 
 _VIEW_NAME = re.compile(r"input_cam([0-9]{1,6})", re.IGNORECASE)
+_OURS = re.compile(rf"{_VIEW_NAME.pattern}\..*|{DISPARITY_FILE}|{DEPTH_FILE}|{MASK_FILE}", re.IGNORECASE)
 
 
 def recognise(path: Path) -> str | None:
@@ -222,7 +223,7 @@ def write_hci(light_field: LightField, folder: str | os.PathLike[str]) -> tuple[
         )
         if truth is not None:
             _write_truth(place, truth, light_field.geometry)
-        _check_nothing_stale(Path(folder), place)
+        check_no_others(folder, {file.name for file in place.iterdir()}, _OURS)
     return _left_out(light_field, centre)
 
 
@@ -273,16 +274,6 @@ def _write_truth(folder: Path, truth: GroundTruth, geometry: Geometry | None) ->
         write_pfm(folder / DEPTH_FILE, geometry.depth(truth.disparity))
     if truth.mask is not None:
         write_png(folder / MASK_FILE, truth.mask[..., None])
-
-
-def _check_nothing_stale(folder: Path, new: Path) -> None:
-    """Refuse a folder with files of an earlier light field, which would be read as part of the new one."""
-    if not folder.is_dir():
-        return
-    for entry in entries(folder):
-        ours = entry.name in (DISPARITY_FILE, DEPTH_FILE, MASK_FILE) or _VIEW_NAME.fullmatch(entry.stem)
-        if ours and not (new / entry.name).exists():
-            raise LightFieldError(f"{folder} holds {entry.name} of another light field; choose an empty folder.")
 
 
 def _left_out(light_field: LightField, centre: tuple[float, float]) -> tuple[str, ...]:

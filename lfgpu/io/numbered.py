@@ -121,26 +121,19 @@ def read_numbered(
     notes += chosen
     naming = _of_one_size(path, naming, notes, allow_missing=allow_missing)
     rows, columns, cameras = (naming.of(meaning) for meaning in (ROW, COLUMN, CAMERA))
-    alone = None if cameras else _alone(naming)
-    if alone is not None and (grid is not None or _is_in_no_line(naming, alone)):
-        light_field = _read_row(
-            path, naming, alone, notes, grid=grid, every=every, down=False, allow_missing=allow_missing
-        )
-    elif not cameras and rows and columns:
+    number, down = None if cameras else _alone(naming), bool(rows) and not cameras and not columns
+    if number is not None and grid is None and not _is_in_no_line(naming, number):
+        number = None
+    if number is None and not cameras and rows and columns:
         if grid is not None:
             raise LightFieldError(f"{path} has rows and columns in the names of its images; leave grid out.")
-        light_field = _read_grid(path, naming, rows[0], columns[0], notes, allow_missing=allow_missing)
-    else:
-        number = next(iter(cameras or columns or rows or naming.of(TIME)), None)
-        if number is None:
-            raise LightFieldError(
-                f"{path} has one view only ({naming.files[0].name}); depth needs at least two views of the scene."
-            )
-        down = bool(rows) and not cameras and not columns
-        light_field = _read_row(
-            path, naming, number, notes, grid=grid, every=every, down=down, allow_missing=allow_missing
+        return _read_grid(path, naming, rows[0], columns[0], notes, allow_missing=allow_missing)
+    number = number or next(iter(cameras or columns or rows or naming.of(TIME)), None)
+    if number is None:
+        raise LightFieldError(
+            f"{path} has one view only ({naming.files[0].name}); depth needs at least two views of the scene."
         )
-    return light_field
+    return _read_row(path, naming, number, notes, grid=grid, every=every, down=down, allow_missing=allow_missing)
 
 
 def _alone(naming: Naming) -> Number | None:
@@ -337,7 +330,7 @@ def _read_row(
     allow_missing: bool,
 ) -> LightField:
     views = sorted(zip(number.values, naming.files, strict=True))
-    if number.meaning == TIME or _times_only(naming):
+    if number.meaning == TIME or not any(n.varies for meaning in (ROW, COLUMN, CAMERA) for n in naming.of(meaning)):
         views = list(enumerate(file for _, file in sorted(zip(values(naming.of(TIME)), naming.files, strict=True))))
     first, last_number = views[0][0], views[-1][0]
     step = math.gcd(*(value - first for value, _ in views)) or 1
@@ -369,10 +362,6 @@ def _read_row(
     places = by_place((divmod(place, shape[1]), file) for place, file in chosen)
     light_field = read_grid(places, shape, folder=path, allow_missing=allow_missing, notes=notes)
     return replace(light_field, reading=replace(light_field.reading, places=why))
-
-
-def _times_only(naming: Naming) -> bool:
-    return not any(number.varies for meaning in (ROW, COLUMN, CAMERA) for number in naming.of(meaning))
 
 
 def _shape(path: Path, files: Sequence[Path], count: int, *, down: bool) -> tuple[tuple[int, int], str]:
