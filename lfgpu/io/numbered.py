@@ -1,7 +1,6 @@
 """Folders of pictures whose names have numbers: rows and columns, cameras, or cameras and times."""
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +11,6 @@ from lfgpu.io import parallax
 from lfgpu.io.arrays import grid_shape
 from lfgpu.io.folders import image_files, listed, sub_folders
 from lfgpu.io.grid import by_place, read_grid
-from lfgpu.io.images import image_size
 from lfgpu.io.naming import (
     BESIDE,
     CAMERA,
@@ -95,9 +93,8 @@ def read_numbered(
     and times of day are no places. What stays open is asked: a LightFieldError says which option settles it.
 
     Names of sub-folders count like the beginnings of file names. `kind` is that of `recognise` where there are several;
-    `allow_missing` also leaves out views of another size than most; `grid` holds cameras with one number, row by row;
-    `every` takes one camera of so many; `pattern` says what numbers are: "cam{u}_frame{t}.png"; `frame` is a time, from
-    0.
+    `grid` holds cameras with one number, row by row; `every` takes one camera of so many; `pattern` says what numbers
+    are: "cam{u}_frame{t}.png"; `frame` is a time, from 0.
     """
     found = _found(path, pattern, kind)
     if found is None:
@@ -119,7 +116,6 @@ def read_numbered(
         )
     naming, chosen = _at_one_time(path, found.naming, frame, allow_missing=allow_missing)
     notes += chosen
-    naming = _of_one_size(path, naming, notes, allow_missing=allow_missing)
     rows, columns, cameras = (naming.of(meaning) for meaning in (ROW, COLUMN, CAMERA))
     number, down = None if cameras else _alone(naming), bool(rows) and not cameras and not columns
     if number is not None and grid is None and not _is_in_no_line(naming, number):
@@ -240,26 +236,6 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing
 def _part(naming: Naming, kept: Sequence[int]) -> Naming:
     numbers = tuple(replace(number, values=tuple(number.values[k] for k in kept)) for number in naming.numbers)
     return Naming(tuple(naming.names[k] for k in kept), numbers)
-
-
-def _of_one_size(path: Path, naming: Naming, notes: list[str], *, allow_missing: bool) -> Naming:
-    """Keep the views of the most frequent size, with a note; LightFieldError unless views may be missing."""
-    suffixes = sorted({file.suffix.lower() for file in naming.files})
-    if len(suffixes) > 1:
-        notes.append(f"The views are of different kinds: {', '.join(suffixes)}.")
-    sizes = [image_size(file) for file in naming.files]
-    frequent = Counter(size for size in sizes if size is not None).most_common()
-    if len(frequent) < 2:
-        return naming
-    others = [file for file, size in zip(naming.files, sizes, strict=True) if size != frequent[0][0]]
-    found = " and ".join(f"{count} of {width} x {height}" for (height, width), count in frequent[:3])
-    if not allow_missing:
-        raise LightFieldError(
-            f"the views in {path} are not alike: there are {found} px, such as {listed(others)}; pass "
-            "allow_missing=True (--allow-missing on the command line) to leave out all but the most frequent size."
-        )
-    notes.append(f"Left out {len(others)} of {len(sizes)} views, which are of another size: {listed(others)}.")
-    return _part(naming, [k for k, size in enumerate(sizes) if size == frequent[0][0]])
 
 
 # --- rows and columns ---

@@ -103,12 +103,6 @@ def test_two_files_for_one_place_are_refused(tmp_path: Path, other: str) -> None
     assert other in text
 
 
-def test_mixed_suffixes_are_noted(tmp_path: Path) -> None:
-    save_named(tmp_path, [(0, 0)], "{0}_{1}.png")
-    save_named(tmp_path, [(0, 1)], "{0}_{1}.bmp")
-    assert "The views are of different kinds: .bmp, .png." in read(tmp_path).notes
-
-
 def test_one_view_is_not_enough(tmp_path: Path) -> None:
     text = refusal(lambda: read(save_named(tmp_path, [(3, 4)])))
     assert str(tmp_path) in text
@@ -174,15 +168,10 @@ def test_hyphens_are_no_signs(tmp_path: Path) -> None:
         assert light_field.files[1].endswith(Path(pattern.format(0, 1)).name)
 
 
-def test_views_of_another_size_are_counted_and_can_be_left_out(tmp_path: Path) -> None:
+def test_views_of_another_size_are_refused(tmp_path: Path) -> None:
     save_named(tmp_path, box(3, 3))
     save(tmp_path / "view_00_02.png", picture(1)[:-1])
-    text = refusal(lambda: read(tmp_path))
-    assert "there are 8 of 5 x 4 and 1 of 5 x 3 px, such as view_00_02.png" in text
-    assert "--allow-missing" in text
-    light_field = read(tmp_path, allow_missing=True)
-    assert light_field.missing == ((0, 2),)
-    assert light_field.notes[0] == "Left out 1 of 9 views, which are of another size: view_00_02.png."
+    assert "view_00_02.png is 5 x 3" in refusal(lambda: read(tmp_path))
 
 
 def test_corners_alone(tmp_path: Path) -> None:

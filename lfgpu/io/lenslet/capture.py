@@ -43,7 +43,6 @@ class _Camera:
     name: str
     shape: tuple[int, int]
     bits: int
-    endianness: str
     bayer: str
     black: int
 
@@ -53,8 +52,8 @@ class _Camera:
 
 
 _CAMERAS = (
-    _Camera("the first Lytro", (3280, 3280), 12, "big", "bggr", 168),
-    _Camera("the Lytro Illum", (5368, 7728), 10, "little", "grbg", 64),
+    _Camera("the first Lytro", (3280, 3280), 12, "bggr", 168),
+    _Camera("the Lytro Illum", (5368, 7728), 10, "grbg", 64),
 )
 
 
@@ -83,17 +82,13 @@ def read_capture(path: Path) -> Capture:
     )
 
 
-def unpack(data: bytes, shape: tuple[int, int], bits: int, endianness: str) -> NDArray[np.uint16]:
-    """Unpack numbers [y, x] of 8, 10, 12 or 16 bits, from as many bytes as they take.
+def unpack(data: bytes, shape: tuple[int, int], bits: int) -> NDArray[np.uint16]:
+    """Unpack numbers [y, x] of 12 or 10 bits, from as many bytes as they take.
 
     12 bits: three bytes hold two numbers, the high bits first ("big"). 10 bits: four bytes hold the high eight bits of
     a number each, a fifth one the low bits of all four, those of the first number lowest ("little").
     """
     packed = np.frombuffer(data, np.uint8)
-    if bits == 8:
-        return packed.astype(np.uint16).reshape(shape)
-    if bits == 16:
-        return packed.view(">u2" if endianness == "big" else "<u2").astype(np.uint16).reshape(shape)
     values = np.empty((len(packed) * 8 // bits), np.uint16)
     if bits == 12:
         first, middle, last = (packed[i::3].astype(np.uint16) for i in range(3))
@@ -149,7 +144,7 @@ def _from_bare_raw(path: Path) -> Capture:
         found = path.stat().st_size if path.is_file() else 0
         raise LightFieldError(f"{path} is not a raw file of a Lytro camera: it has {found} bytes, not {known}.")
     with read_as(path):
-        values = unpack(path.read_bytes(), camera.shape, camera.bits, camera.endianness)
+        values = unpack(path.read_bytes(), camera.shape, camera.bits)
     white = (1 << camera.bits) - 1
     note = (
         f"Black level {camera.black} and white level {white} are assumed, as is the mosaic: a bare raw file has none."
@@ -168,7 +163,7 @@ def _from_container(path: Path) -> Capture:
     width, height = (image.integer(key, *_SIDES) for key in ("width", "height"))
     packing = details.object("pixelPacking")
     bits, endianness = packing.integer("bitsPerPixel", 8, 16), packing.text("endianness")
-    if (bits, endianness) not in {(12, "big"), (10, "little"), (8, endianness), (16, "big"), (16, "little")}:
+    if (bits, endianness) not in {(12, "big"), (10, "little")}:
         raise LightFieldError(f"{path} has values of {bits} bits, {endianness} endian, which cannot be read.")
     stored = contents.container.length(contents.raw.section)
     if stored * 8 != width * height * bits:
@@ -177,7 +172,7 @@ def _from_container(path: Path) -> Capture:
             f"its raw picture has {stored}."
         )
     data = contents.container.data(contents.raw.section)
-    values = unpack(data, (height, width), bits, endianness)
+    values = unpack(data, (height, width), bits)
     places = _places(path, details.object("mosaic"))
     levels = details.object("pixelFormat")
     black, white = (
