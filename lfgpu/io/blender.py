@@ -6,7 +6,6 @@ The file says how the camera projects, and where it stood for each image; OpenEX
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,7 +53,10 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
     file = _file(path)
     if file is None:
         raise LightFieldError(f"{path} has no {CONFIGURATION_FILE}; give the folder that Blender rendered to.")
-    whole = Members(file, _parsed(file))
+    parsed = read_json_or_toml(file, largest=_LARGEST)
+    if not isinstance(parsed, dict):
+        raise LightFieldError(f"{file} is a JSON {type(parsed).__name__}, not an object.")
+    whole = Members(file, parsed)
     frames = whole.objects("frames")
     if len(frames) < 2:
         raise LightFieldError(f"{file} has {len(frames)} cameras; depth needs at least two views of the scene.")
@@ -72,11 +74,14 @@ def read_blender(path: Path, *, allow_missing: bool = False) -> LightField:
         notes.append(f"Left out {len(images) - len(there)} of {len(images)} cameras, whose images are not there.")
     chosen = [image for image in images if image is not None]
     views, valid, more = load_views(chosen)
-    middle, depth = _middle(centres[there]), None
+    places, depth = centres[there], None
+    off = np.round(np.hypot(*(places - (places.min(axis=0) + places.max(axis=0)) / 2).T), 9)
+    # Of several cameras in the middle the one below and to the right.
+    middle = int(max(np.flatnonzero(off == off.min()), key=lambda index: (places[index, 1], places[index, 0])))
     if chosen[middle].suffix.lower() == ".exr":
         depth = channel(read_channels(chosen[middle])[0], "Z", "V")
     geometry = _geometry(file, whole, views.shape[1:3], step)
-    positions = geometry.positions(centres[there])
+    positions = geometry.positions(places)
     positions -= positions.min(axis=0)
     whole_steps = bool(np.abs(positions - np.rint(positions)).max() < _FLAT)
     shape = tuple(int(n) + 1 for n in np.rint(positions.max(axis=0))[::-1])
@@ -106,18 +111,13 @@ def _file(path: Path) -> Path | None:
     return file if file.is_file() and file.suffix.lower() == ".json" else None
 
 
-def _parsed(file: Path) -> dict[str, Any]:
-    value = read_json_or_toml(file, largest=_LARGEST)
-    if not isinstance(value, dict):
-        raise LightFieldError(f"{file} is a JSON {type(value).__name__}, not an object.")
-    return value
-
-
 # --- cameras ---
 
 
 def _in_plane(file: Path, frames: list[Members]) -> tuple[NDArray[np.float64], float]:
     """Return the places of cameras in their plane, [n, 2] (right, down) in metres, and the distance of neighbours."""
+    from scipy.spatial import cKDTree  # slow to import, and rarely needed
+
     axes, places = (np.array(a) for a in zip(*(_pose(file, frame) for frame in frames), strict=True))
     if np.abs(axes - axes[0]).max() > _PARALLEL:
         raise LightFieldError(
@@ -130,8 +130,7 @@ def _in_plane(file: Path, frames: list[Members]) -> tuple[NDArray[np.float64], f
     order = np.unique(np.round(centres, 12), axis=0)
     if len(order) < len(centres):
         raise LightFieldError(f"{file} has several cameras in one place.")
-    nearest = _nearest(centres)
-    step = float(np.median(nearest))
+    step = float(np.median(cKDTree(centres).query(centres, k=2)[0][:, 1]))
     off = float(np.ptp(own[:, 2]))
     if off > _FLAT * step:
         raise LightFieldError(
@@ -141,34 +140,21 @@ def _in_plane(file: Path, frames: list[Members]) -> tuple[NDArray[np.float64], f
     return centres, step
 
 
-def _nearest(centres: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of each camera's nearest neighbour."""
-    from scipy.spatial import cKDTree
-
-    return np.asarray(cKDTree(centres).query(centres, k=2)[0][:, 1])
-
-
 def _pose(file: Path, frame: Members) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the camera's axes [3, 3], one a column, and its place [3]."""
+    from scipy.spatial.transform import Rotation
+
     if frame.values.get("world_matrix") is not None:
         matrix = _numbers(file, frame, "world_matrix", (4, 4))
         axes, place = matrix[:3, :3], matrix[:3, 3]
         axes = axes / np.maximum(np.linalg.norm(axes, axis=0), 1e-12)
     else:
         place = _numbers(file, frame, "position", (3,))
-        axes = _of_euler(*_numbers(file, frame, "rotation", (3,)))
+        # Blender's default rotation: about x first, then y, then z, in radians.
+        axes = Rotation.from_euler("xyz", _numbers(file, frame, "rotation", (3,))).as_matrix()
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-3:
         raise LightFieldError(f"{file} is damaged: the axes of the camera {frame.text('name')[:60]!r} are no axes.")
     return axes, place
-
-
-def _of_euler(x: float, y: float, z: float) -> NDArray[np.float64]:
-    """Return the matrix of Blender's default rotation: about x first, then y, then z, in radians."""
-    (cx, cy, cz), (sx, sy, sz) = np.cos([x, y, z]), np.sin([x, y, z])
-    about_x = np.array([[1, 0, 0], [0, cx, -sx], [0, sx, cx]])
-    about_y = np.array([[cy, 0, sy], [0, 1, 0], [-sy, 0, cy]])
-    about_z = np.array([[cz, -sz, 0], [sz, cz, 0], [0, 0, 1]])
-    return np.asarray(about_z @ about_y @ about_x)
 
 
 def _numbers(file: Path, of: Members, key: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
@@ -208,13 +194,6 @@ def _geometry(file: Path, whole: Members, size: tuple[int, ...], step: float) ->
     if not (0 < across < 1e9 and 0 < down < 1e9):
         raise LightFieldError(f"{file} is damaged: its focal length is {across:g} x {down:g} px.")
     return Geometry(float(across), step, principal_point=point, pixel_aspect=float(down / across))
-
-
-def _middle(centres: NDArray[np.float64]) -> int:
-    """Return the camera in the middle; of several the one below and to the right."""
-    middle = (centres.min(axis=0) + centres.max(axis=0)) / 2
-    off = np.round(np.hypot(*(centres - middle).T), 9)
-    return int(max(np.flatnonzero(off == off.min()), key=lambda index: (centres[index, 1], centres[index, 0])))
 
 
 # --- images ---

@@ -62,7 +62,10 @@ def read_description(
     on to it. Errors name the entry of the description that is unknown or wrong.
     """
     file = path / DEFAULT_NAME if path.is_dir() else path
-    parsed = _parsed(file)
+    with read_as(file):
+        if not file.is_file():
+            raise LightFieldError(f"{file} is not a description of a light field; name a .toml or .json file.")
+    parsed = read_json_or_toml(file)
     with naming(file):
         table = _table(parsed, "")
         listed = _listed_views(table.get("views"))
@@ -118,13 +121,6 @@ def write_description(light_field: LightField, path: str | os.PathLike[str], *, 
 
 
 # --- reading ---
-
-
-def _parsed(file: Path) -> Any:
-    with read_as(file):
-        if not file.is_file():
-            raise LightFieldError(f"{file} is not a description of a light field; name a .toml or .json file.")
-    return read_json_or_toml(file)
 
 
 def _listed_views(views: Any) -> list[Mapping[str, Any]]:

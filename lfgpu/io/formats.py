@@ -69,11 +69,6 @@ class Format:
     """True if a folder is of this format where only one of its sub-folders has the views."""
 
 
-def _read_source(path: Path, **options: Any) -> LightField:
-    """Read the source of a description, by this very table."""
-    return read(path, lazy=wanted_on_disk(), **options)
-
-
 _MISSING = "allow_missing"
 
 
@@ -103,7 +98,10 @@ FORMATS: tuple[Format, ...] = (
         name="lightfield-toml",
         description="a description lightfield.toml (or .json) of any array of cameras",
         recognise=description.recognise,
-        read=partial(description.read_description, read=_read_source),
+        read=partial(
+            description.read_description,
+            read=lambda path, **options: read(path, lazy=wanted_on_disk(), **options),  # by this very table
+        ),
         takes=(_MISSING,),
     ),
     Format(

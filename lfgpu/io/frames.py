@@ -85,7 +85,7 @@ def _write_gif(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
 def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
     import imageio_ffmpeg
 
-    pictures: Iterator[NDArray[np.uint8]] = (_even(_colour(frame)) for frame in frames)
+    pictures: Iterator[NDArray[np.uint8]] = (_colour(f)[: len(f) // 2 * 2, : f.shape[1] // 2 * 2] for f in frames)
     first = next(pictures)
     height, width, _ = first.shape
     writer = imageio_ffmpeg.write_frames(
@@ -104,13 +104,8 @@ def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
             writer.send(np.ascontiguousarray(picture))
     finally:
         writer.close()
-    if not _is_whole(path):
+    if not (path.exists() and b"moov" in path.read_bytes()):  # its table of contents, which ffmpeg writes last
         raise OSError(None, "ffmpeg could not finish it; is the disk full?")
-
-
-def _is_whole(path: Path) -> bool:
-    """Tell whether a film has its table of contents, which ffmpeg writes last."""
-    return path.exists() and b"moov" in path.read_bytes()
 
 
 _FILMS: dict[str, Callable[[Iterable[Float32Array], Path, float], None]] = {".gif": _write_gif, ".mp4": _write_mp4}
@@ -118,8 +113,3 @@ _FILMS: dict[str, Callable[[Iterable[Float32Array], Path, float], None]] = {".gi
 
 def _colour(image: Float32Array) -> NDArray[np.uint8]:
     return np.ascontiguousarray(np.broadcast_to(quantised(image, np.uint8), (*image.shape[:2], 3)))
-
-
-def _even(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    height, width, _ = image.shape
-    return image[: height - height % 2, : width - width % 2]

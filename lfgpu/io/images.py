@@ -110,13 +110,15 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
         with pillow.opened(path) as image:
             turn = _UPRIGHT.get(_orientation(image))
             remarks = set() if turn is None else {TURNED}
+            inverted = False
             if isinstance(image, TiffImageFile):  # Pillow turns it, but takes grey pixels for stored as they are shown
                 image._size = (image.tag_v2[_WIDTH_TAG], image.tag_v2[_HEIGHT_TAG])
                 turn = None
+                is_white_zero = image.tag_v2.get(_INTERPRETATION_TAG) == _WHITE_IS_ZERO
+                inverted = is_white_zero and image.mode not in ("1", "L")  # which Pillow inverts
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
-                inverted = _white_is_zero(image)
                 pixels = _pixels(path, image)
                 if inverted:
                     pixels = _inverted(pixels)
@@ -141,15 +143,6 @@ def _orientation(image: Image.Image) -> int:
     return found if isinstance(found, int) else 1
 
 
-def _white_is_zero(image: Image.Image) -> bool:
-    """Tell whether an image is a grey TIFF of which 0 is white, but for those that Pillow inverts."""
-    return (
-        isinstance(image, TiffImageFile)
-        and image.tag_v2.get(_INTERPRETATION_TAG) == _WHITE_IS_ZERO
-        and image.mode not in ("1", "L")
-    )
-
-
 def _inverted(image: NDArray[Any]) -> NDArray[Any]:
     top = 1.0 if image.dtype.kind == "f" else np.iinfo(image.dtype).max
     return np.asarray(image.dtype.type(top) - image)
@@ -164,7 +157,8 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if getattr(image, "is_animated", False) and image.format == "WEBP":
         count = getattr(image, "n_frames", 0)
         raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
-    if image.format == "PPM" and _wide_ppm_colour(image):
+    stored = image.tile[0][3] if image.format == "PPM" else ""  # type: ignore[attr-defined]  # raw mode, largest value
+    if image.mode == "RGB" and isinstance(stored, tuple) and int(stored[1]) > 255:
         raise LightFieldError(f"{path} is a PPM of 16-bit colour, which cannot be read; save it as PNG or TIFF.")
     if image.mode == "I" and image.format in ("PNG", "PPM"):  # Pillow gives 16-bit grey in 32 bits
         return np.asarray(image).astype(np.uint16)
@@ -174,12 +168,6 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if image.mode in ("RGB", "RGBA") and (raw := _raw_mode(image)).endswith(tuple(_OTHER_BYTE)):
         return _sixteen_bit_colour(path, image, raw)
     return np.asarray(image)
-
-
-def _wide_ppm_colour(image: Image.Image) -> bool:
-    """Tell whether a PPM has colours of more than 8 bits, of which Pillow keeps 8."""
-    arguments = image.tile[0][3]  # type: ignore[attr-defined]  # (raw mode, largest value) or the raw mode alone
-    return image.mode == "RGB" and isinstance(arguments, tuple) and int(arguments[1]) > 255
 
 
 def _raw_mode(image: Image.Image) -> str:

@@ -88,7 +88,7 @@ def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
     by_y, by_x = np.gradient((a + b) / 2)
     change = b - a - (b - a).mean()
     xx, xy, yy, xt, yt = (
-        _blocks(np.asarray(p)) for p in (by_x * by_x, by_x * by_y, by_y * by_y, by_x * change, by_y * change)
+        shrunk(np.asarray(p), _BLOCK) for p in (by_x * by_x, by_x * by_y, by_y * by_y, by_x * change, by_y * change)
     )
     floor = 1e-2 * (xx + yy).mean() + 1e-12
     determinant = (xx + floor) * (yy + floor) - xy * xy
@@ -156,15 +156,10 @@ def _verdict(correlation: float) -> bool | None:
 # --- pictures in files ---
 
 
-def small(file: Path) -> NDArray[np.float64]:
-    """Return a picture [y, x], grey, of about 160 pixels, on [0, 1]."""
-    return grey(read_image(file)[0])
-
-
 def one_scene(files: Sequence[Path]) -> bool:
     """Tell whether pictures show the same scene: folders of other scenes are often numbered, too."""
     try:
-        views = [_normalised(small(file)) for file in files]
+        views = [_normalised(grey(read_image(file)[0])) for file in files]
     except LightFieldError:  # whoever reads them says what is wrong
         return True
     return all(a.shape == b.shape and float((a * b).mean()) > _ALIKE for a, b in pairwise(views))
@@ -192,7 +187,7 @@ def line(found: Moves | None) -> str | None:
 def consecutive(files: Sequence[Path]) -> Moves | None:
     """Return the distances of the cameras of files that follow each other; None if they do not tell."""
     try:
-        pictures = [small(file) for file in files]
+        pictures = [grey(read_image(file)[0]) for file in files]
     except LightFieldError:  # whoever reads them says what is wrong
         return None
     if len({picture.shape for picture in pictures}) > 1:
@@ -268,7 +263,3 @@ def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
     height, width = (side // factor for side in image.shape)
     cut = image[: height * factor, : width * factor]
     return np.asarray(cut.reshape(height, factor, width, factor).mean(axis=(1, 3)))
-
-
-def _blocks(image: NDArray[np.float64]) -> NDArray[np.float64]:
-    return shrunk(image, _BLOCK)

@@ -159,7 +159,8 @@ class RingWriter:
 
     def begin(self) -> NDArray[Any]:
         """Return the views [n, y, x, c] of the next frame in the shared memory, to be filled before `publish`."""
-        self._refuse_if_closed()
+        if self._file.closed:
+            raise LfgpuError("the ring is closed; create a new one.")
         if not self._begun:
             self._begun = True
             self._slot.numbers[0] = 2 * (self._frame + 1) - 1
@@ -230,10 +231,6 @@ class RingWriter:
     @property
     def _slot(self) -> _Slot:
         return self._slots[self._frame % self._kind.slots]
-
-    def _refuse_if_closed(self) -> None:
-        if self._file.closed:
-            raise LfgpuError("the ring is closed; create a new one.")
 
     def _create(self) -> BinaryIO:
         """Create the file, whole before it has its name; readers of an older one of that name keep theirs."""

@@ -113,7 +113,7 @@ def html(
         points=points,
         epis=[card for point in points for card in epi_cards(lf, result.disparity, point)],
         judged=None if explanation is None else judged(explanation),
-        facts=_facts(lf, origin),
+        facts=[*([("read from", origin.source)] if origin.source else []), *facts.typeset_rows(lf)],
         run=_run(result, origin),
         command=origin.command,
         charts=_run_charts(result),
@@ -296,13 +296,6 @@ def judged(found: Explanation) -> dict[str, Any]:
 
 
 # --- input, run, parameters ---
-
-
-def _facts(lf: LightField, origin: Origin) -> list[tuple[str, str]]:
-    return [
-        *((("read from", origin.source),) if origin.source else ()),
-        *facts.typeset_rows(lf),
-    ]
 
 
 def _run(result: DepthResult, origin: Origin) -> list[tuple[str, str]]:

@@ -13,7 +13,7 @@ from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet.vignetting import Float32Array
 from lfgpu.io.lytro.container import is_container, is_sound
-from lfgpu.io.lytro.contents import Camera, Contents, read_contents
+from lfgpu.io.lytro.contents import Camera, read_contents
 from lfgpu.io.texts import Members
 
 _SIDES = (8, 32768)  # pixels that a container may claim
@@ -63,18 +63,13 @@ def bare_raw(path: Path) -> str | None:
     return camera.name if camera else None
 
 
-def is_image(path: Path) -> bool:
-    """Tell whether a file is an image by its suffix."""
-    return path.suffix.lower() in IMAGE_SUFFIXES
-
-
 def read_capture(path: Path) -> Capture:
     """Read a capture; LightFieldError if the file is none, or damaged."""
     if is_container(path):
         return _from_container(path)
     if path.suffix.lower() == ".raw":
         return _from_bare_raw(path)
-    if is_image(path):
+    if path.suffix.lower() in IMAGE_SUFFIXES:
         return _from_image(path)
     raise LightFieldError(
         f"{path} is not a raw capture: neither a Lytro container (.lfp, .lfr), nor a raw file of a Lytro camera "
@@ -156,7 +151,11 @@ def _from_bare_raw(path: Path) -> Capture:
 def _from_container(path: Path) -> Capture:
     contents = read_contents(path)
     if contents.raw is None:
-        raise LightFieldError(f"{path} has no raw picture: {_instead(contents)}.")
+        lost = f", and names {contents.missing!r}, for which there is no such section" if contents.missing else ""
+        raise LightFieldError(
+            f"{path} has no raw picture: it is a Lytro container with {contents.summary()}{lost}; give the one that "
+            "the camera wrote."
+        )
     image = Members(path, contents.raw.metadata).object("image")
     # The first Lytro keeps what it says of raw data apart.
     details = image.object("rawDetails") if "rawDetails" in image.values else image
@@ -194,12 +193,6 @@ def _from_container(path: Path) -> Capture:
         tuple(notes),
         contents.camera,
     )
-
-
-def _instead(contents: Contents) -> str:
-    """Describe what a container without a raw picture holds, and say what to do."""
-    lost = "" if contents.missing is None else f", and names {contents.missing!r}, for which there is no such section"
-    return f"it is a Lytro container with {contents.summary()}{lost}; give the one that the camera wrote"
 
 
 def _places(path: Path, mosaic: Members) -> list[list[str]]:

@@ -76,7 +76,8 @@ def decode(
         white_name=None if white is None else str(white),
         expected=_expected(capture),
     )
-    count = views or _default_views(sensor.lenses.pitch)
+    # The largest odd number of views of which the one in the corner lies under the round microlens.
+    count = views or max(3, 2 * math.floor(sensor.lenses.pitch / 2 / math.sqrt(2) / STEP) + 1)
     positions = _positions(sensor.lenses.pitch, count)
     progress("making the views")
     linear, valid = sensor.views(positions - (count - 1) / 2)
@@ -230,11 +231,6 @@ def _white_image(path: Path, shape: tuple[int, ...]) -> Float32Array:
             f"the capture {shape[1]} x {shape[0]}."
         )
     return white
-
-
-def _default_views(pitch: float) -> int:
-    """Return the largest odd number of views of which the one in the corner lies under the round microlens."""
-    return max(3, 2 * math.floor(pitch / 2 / math.sqrt(2) / STEP) + 1)
 
 
 def _positions(pitch: float, count: int) -> NDArray[np.float64]:

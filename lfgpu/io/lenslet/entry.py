@@ -15,6 +15,7 @@ from lfgpu.data.reading import Inside
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io import lytro, pillow
 from lfgpu.io.atomic import atomic_write
+from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet import capture
 from lfgpu.io.lytro.container import is_container
@@ -100,7 +101,7 @@ def recognise(path: Path) -> str | None:
         return "it is a container of a Lytro camera"
     if camera := capture.bare_raw(path):
         return f"it has the name and the length of a raw file of {camera}"
-    if not (capture.is_image(path) and _may_be_a_sensor(path)):
+    if not (path.suffix.lower() in IMAGE_SUFFIXES and _may_be_a_sensor(path)):
         return None
     lattice = _lattice(path)
     return None if lattice is None else f"it is a grey picture of microlenses, {lattice}"

@@ -55,7 +55,8 @@ def find_peaks(picture: NDArray[np.float32]) -> Peaks | None:
         return None
     power, ring = _power(picture, side)
     excess = _excess(power, ring)
-    excess[power < _least_power(side)] = 0.0
+    # The power of a wave of the least contrast that counts; far less may stand out without noise.
+    excess[power < (_LEAST_CONTRAST / 2 * np.hanning(side).sum() ** 2) ** 2] = 0.0
     lowest, highest = 1 / PITCHES[1], 2 / (math.sqrt(3) * PITCHES[0])
     excess[(ring < max(lowest, 8 / side) * side) | (ring > highest * side)] = 0.0
     best: dict[tuple[float, ...], Peaks] = {}
@@ -92,11 +93,6 @@ def _power(picture: NDArray[np.float32], side: int) -> tuple[NDArray[np.float64]
     total /= max(tiles, 1)
     fy, fx = np.fft.fftfreq(side) * side, np.arange(side // 2 + 1)
     return total, np.hypot(fy[:, None], fx)
-
-
-def _least_power(side: int) -> float:
-    """Compute the power of a wave of the least contrast that counts; far less may stand out without noise."""
-    return float((_LEAST_CONTRAST / 2 * np.hanning(side).sum() ** 2) ** 2)
 
 
 def _excess(power: NDArray[np.float64], ring: NDArray[np.float64]) -> NDArray[np.float64]:
