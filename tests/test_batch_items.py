@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs, lfgpu, local
 
-import lfgpu
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
 from lfgpu.batch.cluster import Cluster
@@ -22,6 +21,7 @@ from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.contract import Device
+from lfgpu.io import load as load_result
 from lfgpu.io import read, read_map
 from lfgpu.methods import method_of, preset
 
@@ -137,7 +137,7 @@ def test_an_item_comes_out_as_from_estimate_depth(scene_folders: Path, tmp_path:
     entry = work(job, "cpu")
     lf = read(scene_folders / "scene_0")
     expected = estimate_depth(lf, config="fast", device="cpu")
-    result = lfgpu.load(tmp_path / "scene_0" / "result.npz")
+    result = load_result(tmp_path / "scene_0" / "result.npz")
     assert np.array_equal(result.disparity, expected.disparity)
     assert np.array_equal(result.confidence, expected.confidence)
     assert entry["status"] == DONE
@@ -251,7 +251,7 @@ def test_depth_of_a_name_that_is_not_utf_8_is_saved(scene_folders: Path, tmp_pat
     shutil.copytree(scene_folders / "scene_0", folder)
     done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
     assert done.exit_code == 0, done.output
-    assert lfgpu.load(tmp_path / "out" / "result.npz").name == "bad\\udcff"
+    assert load_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"
 
 
 # --- batches on real processes ---

@@ -105,11 +105,7 @@ def look(
     with device.asking():
         most = min(effort.points, most_points(len(lf.views), 6))
         points = choose_points(lf, disparity, device, most=most)
-    wrong = signs.wrong_signs(lf, disparity, points) if effort.signs else None
-    cameras = measured(lf, points, steps=effort.steps, colours=effort.colours)
-    moved = placement(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
-    bright = brightness(lf, cameras) if wrong is None and len(points.x) >= FEWEST else ()
-    return _made(lf, cameras, len(points.x), moved, bright, wrong)
+    return _made(lf, points, effort, signs.wrong_signs(lf, disparity, points) if effort.signs else None)
 
 
 def seen_views(offsets: Float64Array, used: Sequence[int]) -> NDArray[np.intp]:
@@ -143,23 +139,17 @@ def _look_without_map(lf: LightField, device: Device) -> Look | None:
     wrong, agree = signs.wrong_axis(part, points, max(abs(low), abs(high))), cost < _AGREE
     if wrong is None and agree.sum() < _LEAST:
         return None
-    effort = _EFFORTS["screen"]
-    cameras = measured(part, points.some(agree), steps=effort.steps, colours=effort.colours)
-    moved = placement(part, cameras, single=False) if wrong is None else ()
-    bright = brightness(part, cameras, single=False) if wrong is None else ()
-    return _made(lf, cameras, int(agree.sum()), moved, bright, wrong)
+    return _made(part, points.some(agree), _EFFORTS["screen"], wrong, single=False)
 
 
-def _made(
-    lf: LightField,
-    cameras: Cameras,
-    points: int,
-    moved: tuple[str, ...],
-    bright: tuple[str, ...],
-    wrong: signs.Signs | None,
-) -> Look:
+def _made(lf: LightField, points: Points, effort: _Effort, wrong: signs.Signs | None, *, single: bool = True) -> Look:
+    """Measure the cameras at some points, and say what stands out; of `single` ones only if that is asked for."""
+    cameras = measured(lf, points, steps=effort.steps, colours=effort.colours)
+    tells = wrong is None and len(points.x) >= FEWEST
+    moved = placement(lf, cameras, single=single) if tells else ()
+    bright = brightness(lf, cameras, single=single) if tells else ()
     findings = (*moved, *bright) if wrong is None else (axes(lf, wrong),)
-    return Look(**vars(cameras), points=points, findings=findings, moved=moved, signs=wrong)
+    return Look(**vars(cameras), points=len(points.x), findings=findings, moved=moved, signs=wrong)
 
 
 def part_of(

@@ -42,15 +42,11 @@ def worth_a_look(
     """
     index = np.arange(len(lf.views)) if seen is None else lf.layout.chosen(seen)
     map_, y, x = some_on_surfaces(lf, disparity, min(max(_IN_ALL // len(index), _LEAST), _MOST))
-    return len(x) < _FEWEST or _may_be_off(lf, index, map_, y, x) or _may_be_swapped(lf, index, disparity)
-
-
-def _may_be_off(
-    lf: LightField, index: NDArray[np.intp], map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]
-) -> bool:
-    """Tell whether views may be out of line, turned, scaled, of other brightness, or at mirrored places."""
+    if len(x) < _FEWEST:
+        return True
     first = _fault(lf, index, map_, y[::_FIRST], x[::_FIRST])
-    return first > _SURELY_RIGHT and _fault(lf, index, map_, y, x) > 1
+    is_off = first > _SURELY_RIGHT and _fault(lf, index, map_, y, x) > 1
+    return is_off or _may_be_swapped(lf, index, disparity)
 
 
 def _fault(

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu._backends import DEFAULT, BackendName, load, pick_device
-from lfgpu.contract import Device, Float32Array, Float64Array
+from lfgpu._backends import DEFAULT, BackendName, open_device
+from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.filling import fill_unknown
 from lfgpu.data.layout import farthest
 from lfgpu.data.light_field_checks import check_number, check_whole
@@ -107,8 +107,7 @@ class Renderer:
             )
         check_whole("sources", sources, 1)
         self._lf, self._maps, self._sources = lf, maps, int(sources)
-        self._kernels = load(backend)
-        self._device = pick_device(self._kernels, device)
+        self._device = open_device(backend, device)
         self._splines: dict[int, Float32Array] = {}
 
     def __call__(self, row: float, column: float) -> RenderedView:
@@ -123,7 +122,7 @@ class Renderer:
         join = Join(
             [self._maps.map(n) for n in chosen],
             None if lf.valid is None else lf.valid[chosen],
-            Device(self._kernels, self._device),
+            self._device,
             tolerance=_AGREE / reach,
         )
         disparity, _ = join(place)
