@@ -91,12 +91,7 @@ def geometry_about(geometry: Geometry) -> dict[str, Any]:
 
 def geometry_of(about: Mapping[str, Any]) -> Geometry:
     """Return the geometry that `geometry_about` described; entries that older files lack are as they were then."""
-    focus, point, unshifted = about["focus_distance_m"], about["principal_point"], about.get("unshifted_at")
+    known = {name: value for name, value in about.items() if value is not None}
     return Geometry(
-        focal_length_px=float(about["focal_length_px"]),
-        baseline_m=float(about["baseline_m"]),
-        focus_distance_m=math.inf if focus is None else float(focus),
-        principal_point=None if point is None else (float(point[0]), float(point[1])),
-        pixel_aspect=float(about.get("pixel_aspect", 1.0)),
-        unshifted_at=None if unshifted is None else (float(unshifted[0]), float(unshifted[1])),
+        **{name: tuple(map(float, v)) if isinstance(v, list) else float(v) for name, v in known.items()}  # type: ignore[arg-type]
     )

@@ -1,6 +1,7 @@
 """Light in views: pixels and corners that recorded none, and white of fewer bits than the type has."""
 
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,13 +9,18 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import each_view
+from lfgpu.io.arrays import without_dark_views
+from lfgpu.io.damage import naming
 
 _DARK = 0.5  # share of the middle view's brightness below which a pixel counts as dark
 _AROUND = 16  # brightness is that of a window of a 16th of the shorter side: parallax must not look like shadow
 
 
-def lit(light_field: LightField) -> NDArray[np.bool_]:
-    """Mark, bool [n, y, x], where a view is at least half as bright as the reference view is around the same place."""
+def without_dark_parts(path: Path, light_field: LightField, valid: NDArray[np.bool_] | None = None) -> LightField:
+    """Mask what is less than half as bright as the reference view is around the same place, or what is not `valid`.
+
+    Views of which nothing is left are left out, and the middle one of the others is the reference; errors name `path`.
+    """
     from scipy import ndimage  # not for those who read something else
 
     window = max(5, min(light_field.size) // _AROUND)
@@ -23,8 +29,12 @@ def lit(light_field: LightField) -> NDArray[np.bool_]:
         grey = light_field.image(index).mean(axis=2)
         return np.asarray(ndimage.uniform_filter(grey, window, mode="nearest"))
 
-    least = _DARK * brightness(light_field.reference_index)
-    return np.stack([brightness(index) >= least for index in range(len(light_field.views))])
+    if valid is None:
+        least = _DARK * brightness(light_field.reference_index)
+        valid = np.stack([brightness(index) >= least for index in range(len(light_field.views))])
+    with naming(path):
+        masked = without_dark_views(replace(light_field, valid=valid.reshape(light_field.views.shape[:3])))
+    return replace(masked, reference=None)
 
 
 _BITS = (8, 10, 12, 14)  # of what is stored in 16

@@ -1,6 +1,5 @@
 """Contradictions between the pictures of a light field and the places of their cameras, in sentences."""
 
-import math
 from collections.abc import Iterator
 from itertools import islice
 
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.io.flips import ORDERS, reordered
-from lfgpu.io.parallax import AROUND, FITS, SMALLEST, beside, fit, grey_of, moves, shrunk
+from lfgpu.io.parallax import AROUND, FITS, SMALLEST, alike, beside, fit, grey_of, moves, shrunk
 
 _STEPS = 4  # of views that are looked at on either side of the reference
 _BETTER = 0.3  # of the motion: how much more another way to count cameras must explain
@@ -102,7 +101,7 @@ def upside_down(light_field: LightField) -> str | None:
 
 def _is_turned(thumb: NDArray[np.float64], middle: NDArray[np.float64]) -> bool:
     """Tell whether a small picture looks like another one upside down, and not as it is."""
-    if _alike(thumb, middle) > _UPRIGHT:
+    if alike(thumb, middle) > _UPRIGHT:
         return False
     turned = _alike_moved(thumb[::-1, ::-1], middle)
     return turned > _ONE_SCENE and turned > _alike_moved(thumb, middle) + _LESS
@@ -142,7 +141,7 @@ def _alike_moved(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
         y, x = y - reach, x - reach
         one = a[max(0, y) : height + min(0, y), max(0, x) : width + min(0, x)]
         other = b[max(0, -y) : height + min(0, -y), max(0, -x) : width + min(0, -x)]
-        found = max(found, _alike(one, other))
+        found = max(found, alike(one, other))
     return found
 
 
@@ -255,12 +254,3 @@ def _order(
         scores[order] = fit(vectors, (positions[chosen] - positions[light_field.reference_index]) / once)
     best = max(scores, key=lambda order: scores[order])
     return best if scores[best] > FITS else None
-
-
-def _alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Correlation of two pictures; 0 if one of them is plain, or has no pixels."""
-    if a.size == 0 or b.size == 0:
-        return 0.0
-    a, b = a - a.mean(), b - b.mean()
-    spread = math.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b)))
-    return float(np.vdot(a, b)) / spread if spread else 0.0

@@ -8,7 +8,7 @@ import math
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -278,15 +278,10 @@ def _pair(value: Any, name: str, *, whole: bool = False) -> tuple[Any, Any]:
 
 
 def _geometry_table(geometry: Geometry) -> dict[str, Any]:
-    table: dict[str, Any] = {"focal_length_px": geometry.focal_length_px, "baseline_m": geometry.baseline_m}
-    if math.isfinite(geometry.focus_distance_m):
-        table["focus_distance_m"] = geometry.focus_distance_m
-    if geometry.pixel_aspect != 1:
-        table["pixel_aspect"] = geometry.pixel_aspect
-    for key in _PLACES:
-        if (place := getattr(geometry, key)) is not None:
-            table[key] = list(place)
-    return {key: [float(x) for x in value] if isinstance(value, list) else float(value) for key, value in table.items()}
+    told = {key: value for key, value in asdict(geometry).items() if value not in (None, math.inf)}
+    if geometry.pixel_aspect == 1:
+        del told["pixel_aspect"]
+    return {key: [float(x) for x in value] if isinstance(value, tuple) else float(value) for key, value in told.items()}
 
 
 def _write_truth(truth: GroundTruth, target: Path) -> dict[str, Any]:

@@ -1,6 +1,5 @@
 """Light fields that the Light Field Toolbox for MATLAB decoded: .mat files with LF [t, s, v, u, c]."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,7 @@ from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5, matlab5
 from lfgpu.io.arrays import arranged, grid_field
-from lfgpu.io.brightness import lit
+from lfgpu.io.brightness import without_dark_parts
 from lfgpu.io.damage import read_as
 from lfgpu.io.folders import head
 
@@ -42,11 +41,9 @@ def read_lftoolbox(path: Path, *, axes: str | None = None) -> LightField:
         grid, weight = grid[..., :-1], grid[..., -1]
         if not np.isfinite(weight).all():
             raise LightFieldError(f"{path} has NaN or infinite weights.")
-    light_field = grid_field(path, grid)
-    rows, columns = grid.shape[:2]
-    valid = lit(light_field) if weight is None else weight > _LEAST_WEIGHT * weight.max()
-    light_field = grid_field(path, grid, valid=valid.reshape(rows, columns, *light_field.size))
-    return replace(light_field, reference=None, reading=Reading(why))
+    light_field = grid_field(path, grid, reading=Reading(why))
+    valid = None if weight is None else weight > _LEAST_WEIGHT * weight.max()
+    return without_dark_parts(path, light_field, valid)
 
 
 def _load_5(path: Path, axes: str | None) -> NDArray[Any]:

@@ -5,6 +5,7 @@ of all pairs of pictures are one disparity map times a vector each: a matrix of 
 the cameras, up to one common factor, and how much of the motion they explain says whether that can be believed.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -159,16 +160,20 @@ def _verdict(correlation: float) -> bool | None:
 def one_scene(files: Sequence[Path]) -> bool:
     """Tell whether pictures show the same scene: folders of other scenes are often numbered, too."""
     try:
-        views = [_normalised(grey(read_image(file)[0])) for file in files]
+        pictures = [grey(read_image(file)[0]) for file in files]
     except LightFieldError:  # whoever reads them says what is wrong
         return True
-    return all(a.shape == b.shape and float((a * b).mean()) > _ALIKE for a, b in pairwise(views))
+    views = [shrunk(picture, max(1, min(picture.shape) // 20)) for picture in pictures]
+    return all(a.shape == b.shape and alike(a, b) > _ALIKE for a, b in pairwise(views))
 
 
-def _normalised(picture: NDArray[np.float64]) -> NDArray[np.float64]:
-    values = shrunk(picture, max(1, min(picture.shape) // 20))
-    values = values - values.mean()
-    return np.asarray(values / max(float(values.std()), 1e-9))
+def alike(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    """Return the correlation of two pictures; 0 if one of them is plain, or has no pixels."""
+    if a.size == 0 or b.size == 0:
+        return 0.0
+    a, b = a - a.mean(), b - b.mean()
+    spread = math.sqrt(float(np.vdot(a, a)) * float(np.vdot(b, b)))
+    return float(np.vdot(a, b)) / spread if spread else 0.0
 
 
 def line(found: Moves | None) -> str | None:
@@ -208,8 +213,7 @@ def are_views(planes: Sequence[NDArray[np.float64]]) -> bool:
     """Tell whether pictures that may be colours of one view look like views of a line of cameras in equal steps."""
     if not all(_in_bounds(plane) and plane.std() > 0 for plane in planes):
         return False
-    alike = min(float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) for a, b in pairwise(planes))
-    found = in_sequence(planes) if alike > _ALIKE else None
+    found = in_sequence(planes) if min(alike(a, b) for a, b in pairwise(planes)) > _ALIKE else None
     if not line(found):
         return False
     assert found is not None

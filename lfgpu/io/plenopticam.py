@@ -6,8 +6,7 @@ from pathlib import Path
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io.arrays import without_dark_views
-from lfgpu.io.brightness import lit
+from lfgpu.io.brightness import without_dark_parts
 from lfgpu.io.folders import sub_folders
 from lfgpu.io.numbered import read_numbered
 
@@ -42,7 +41,7 @@ def read_plenopticam(path: Path, *, allow_missing: bool = False) -> LightField:
             f"{' x '.join(map(str, light_field.grid_shape or ()))}; export it again, or pass allow_missing=True "
             "(--allow-missing on the command line)."
         )
-    return without_dark_views(replace(light_field, name=path.resolve().name, valid=lit(light_field)))
+    return without_dark_parts(path, replace(light_field, name=path.resolve().name))
 
 
 def _folders(path: Path) -> list[Path]:

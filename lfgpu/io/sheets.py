@@ -1,6 +1,5 @@
 """One picture that holds all views: side by side, or a pixel of each view under every microlens (ESLF)."""
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +10,10 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import ASK_FOR_GRID, grid_field
-from lfgpu.io.brightness import lit
+from lfgpu.io.brightness import without_dark_parts
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image, read_view
-from lfgpu.io.parallax import SMALLEST, shrunk
+from lfgpu.io.parallax import SMALLEST, alike, shrunk
 
 _MOST = 32  # views along a side that are looked for
 _ALIKE = 0.7  # correlation of neighbouring views; that of parts of one picture is 0.5 at most, as a rule
@@ -67,8 +66,7 @@ def _shows_views(grey: NDArray[np.float64], side: int) -> bool:
 
 def _alike(grey: NDArray[np.float64], step: int) -> float:
     """Correlation of a picture with itself, moved along its first axis."""
-    a, b = grey[:-step], grey[step:]
-    return float(np.corrcoef(a.ravel(), b.ravel())[0, 1]) if a.std() > 0 and b.std() > 0 else 0.0
+    return alike(grey[:-step], grey[step:])
 
 
 def block_in(image: NDArray[Any]) -> tuple[int | None, int | None]:
@@ -188,10 +186,7 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
         notes.append("Pixels at the right and the bottom that do not fill a block were left out.")
     blocks = image[: height * rows, : width * columns].reshape(height, rows, width, columns, image.shape[2])
     views = np.ascontiguousarray(blocks.transpose(1, 3, 0, 2, 4))
-    light_field = grid_field(path, views)
-    return replace(
-        grid_field(path, views, valid=lit(light_field).reshape(views.shape[:4]), notes=notes), reference=None
-    )
+    return without_dark_parts(path, grid_field(path, views, notes=notes))
 
 
 def _side_by_side(path: Path, shape: tuple[int, int]) -> str:
