@@ -27,7 +27,6 @@ from lfgpu.viz.pictures import (
     ticks,
     write_confidence,
     write_disparity,
-    write_picture,
 )
 from lfgpu.viz.sheets import overview
 
@@ -146,10 +145,10 @@ def test_ticks_are_round_numbers_within_the_scale(low: float, high: float, wante
 
 def test_what_cannot_be_drawn_or_written_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match=r"a map must be \[y, x\]"):
-        write_picture(np.zeros((2, 3, 4)), tmp_path / "a.png", title="", label="")
+        write_disparity(np.zeros((2, 3, 4)), tmp_path / "a.png", name="")
     (tmp_path / "file").write_text("")
     with pytest.raises(LightFieldError, match="cannot be written"):
-        write_picture(np.zeros((2, 3)), tmp_path / "file" / "a.png", title="", label="")
+        write_disparity(np.zeros((2, 3)), tmp_path / "file" / "a.png", name="")
     assert {path.name for path in tmp_path.iterdir()} == {"file"}
     with pytest.raises(LightFieldError, match=r"\[y, x\]"):
         overview(np.zeros((2, 3, 3)), np.zeros((2, 3, 4)), np.zeros((2, 3)), title="")

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io import exr, image_maps, numpy_map, pfm, ply, results
+from lfgpu.io import exr, image_maps, pfm, ply, results
 from lfgpu.io.atomic import atomic_write
 from lfgpu.io.damage import check_fetched, how_to_install, read_as
 from lfgpu.io.folders import not_waited_for
@@ -77,11 +77,11 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
     MapFormat(
         (".npz",),
         "NumPy: a result with everything, maps of all views, or a map with its confidence",
-        read=numpy_map.read_npz,
-        write=numpy_map.write_npz,
+        read=results.read_npz,
+        write=results.write_npz,
         read_whole=results.read_whole,
         write_whole=results.write_whole,
-        recognise=numpy_map.recognise_npz,
+        recognise=results.recognise_npz,
     ),
     MapFormat(
         (".png",),
@@ -110,7 +110,7 @@ MAP_FORMATS: tuple[MapFormat, ...] = (
         "point cloud, coloured, in metres if the geometry is known",
         write=ply.write_map,
     ),
-    MapFormat((".npy",), "NumPy: the values", read=numpy_map.read_npy, recognise=numpy_map.recognise_npy),
+    MapFormat((".npy",), "NumPy: the values", read=results.read_npy, recognise=results.recognise_npy),
 )
 
 

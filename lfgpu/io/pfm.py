@@ -17,8 +17,8 @@ _HEADER = re.compile(rb"(P[Ff])\s+([0-9]{1,9})\s+([0-9]{1,9})\s+([-+]?(?:\d+\.?\
 _LONGEST = 256  # bytes of a header
 
 
-def read_pfm(path: Path) -> NDArray[np.float32]:
-    """Read a grey PFM as [y, x], top row first; a negative scale means little endian, its size is not applied.
+def read_map(path: Path) -> DisparityMap:
+    """Read a grey PFM as a map [y, x], top row first; a negative scale means little endian, its size is not applied.
 
     LightFieldError if it is not a PFM, is in colour, or holds less or more than its header says.
     """
@@ -40,7 +40,8 @@ def read_pfm(path: Path) -> NDArray[np.float32]:
     data = np.fromfile(path, f"{order}f4", width * height, offset=header.end())
     if len(data) != width * height:
         raise LightFieldError(f"{path} became shorter while it was read; try again.")
-    return np.flipud(data.reshape(height, width)).astype(np.float32, order="C")
+    values = np.flipud(data.reshape(height, width)).astype(np.float32, order="C")
+    return DisparityMap(values, name=path.name)
 
 
 def write_pfm(path: str | os.PathLike[str], values: ArrayLike) -> None:
@@ -57,8 +58,3 @@ def write_map(values: DisparityMap, path: Path, image: NDArray[Any] | None = Non
     array = np.asarray(values.disparity, np.float32)
     header = f"Pf\n{array.shape[1]} {array.shape[0]}\n-1.0\n".encode()
     path.write_bytes(header + np.flipud(array).astype("<f4").tobytes())
-
-
-def read_map(path: Path) -> DisparityMap:
-    """Read a grey PFM as a map."""
-    return DisparityMap(read_pfm(path), name=path.name)

@@ -27,31 +27,16 @@ _COMPRESSION = 1  # of PNG: more takes twice as long and saves a third
 
 
 def write_disparity(disparity: ArrayLike, path: str | os.PathLike[str], *, name: str) -> None:
-    """Write a disparity map [y, x] as PNG, in viridis; as `write_picture`."""
-    write_picture(disparity, path, title=f"{short(name)}: disparity", label=LOOKS["disparity"].title)
+    """Write a disparity map [y, x] as PNG, in viridis; as `draw_map` draws it, whole or not at all."""
+    look = LOOKS["disparity"]
+    save_picture(draw_map(disparity, title=f"{short(name)}: disparity", label=look.title, colours=look.colours), path)
 
 
 def write_confidence(confidence: ArrayLike, path: str | os.PathLike[str], *, name: str) -> None:
-    """Write a confidence map [y, x] as PNG, in cividis, on the scale 0 to 1; as `write_picture`."""
-    title, label = f"{short(name)}: confidence", LOOKS["confidence"].title
-    write_picture(confidence, path, title=title, label=label, colours="cividis", limits=(0.0, 1.0))
-
-
-def write_picture(
-    values: ArrayLike,
-    path: str | os.PathLike[str],
-    *,
-    title: str,
-    label: str,
-    colours: str = "viridis",
-    limits: tuple[float, float] | None = None,
-) -> None:
-    """Write a map [y, x] as PNG with a colour bar, whole or not at all; pixels become k x k, unknown ones grey.
-
-    `colours` is a colour map of matplotlib; "viridis" and "cividis" are drawn without it. `limits` (low, high) are by
-    default the range of the map without a few outliers. An end of the bar is pointed where values lie beyond it.
-    """
-    save_picture(draw_map(values, title=title, label=label, colours=colours, limits=limits), path)
+    """Write a confidence map [y, x] as PNG, in cividis, on the scale 0 to 1; whole or not at all."""
+    title, look = f"{short(name)}: confidence", LOOKS["confidence"]
+    drawn = draw_map(confidence, title=title, label=look.title, colours=look.colours, limits=(0.0, 1.0))
+    save_picture(drawn, path)
 
 
 def save_picture(picture: Image.Image, path: str | os.PathLike[str]) -> None:
@@ -63,7 +48,11 @@ def save_picture(picture: Image.Image, path: str | os.PathLike[str]) -> None:
 def draw_map(
     values: ArrayLike, *, title: str, label: str, colours: str, limits: tuple[float, float] | None = None
 ) -> Image.Image:
-    """Draw a map with its title and a colour bar; parameters and errors as of `write_picture`."""
+    """Draw a map [y, x] with its title and a colour bar; pixels become k x k, unknown ones grey.
+
+    `colours` is a colour map of matplotlib; "viridis" and "cividis" are drawn without it. `limits` (low, high) are by
+    default the range of the map without a few outliers. An end of the bar is pointed where values lie beyond it.
+    """
     map_ = np.asarray(values, np.float32)
     if map_.ndim != 2 or 0 in map_.shape:
         raise LightFieldError(f"a map must be [y, x]; found shape {map_.shape}.")
