@@ -53,7 +53,8 @@ class Parameters:
 
     def grid_shape(self) -> tuple[int, int]:
         """Return (rows, columns) of the camera grid, from num_cams_y and num_cams_x."""
-        return self._cameras("num_cams_y"), self._cameras("num_cams_x")
+        rows, columns = (self._count("extrinsics", f"num_cams_{axis}", _MOST_CAMERAS) for axis in "yx")
+        return rows, columns
 
     def geometry(self, size: tuple[int, int]) -> Geometry | None:
         """Return the geometry for views of (height, width) pixels; None if the file says nothing of lengths.
@@ -107,17 +108,13 @@ class Parameters:
         except ValueError:
             raise LightFieldError(f"{self._path}: {key} must be a number, not {text!r}.") from None
 
-    def _count(self, section: str, key: str) -> int:
+    def _count(self, section: str, key: str, most: float = math.inf) -> int:
         value = self._number(section, key)
         if not (value >= 1 and value.is_integer()):
             raise LightFieldError(f"{self._path}: {key} must be a whole number of at least 1, not {value:g}.")
+        if value > most:
+            raise LightFieldError(f"{self._path}: {key} must be at most {most}, not {value:.0f}.")
         return int(value)
-
-    def _cameras(self, key: str) -> int:
-        count = self._count("extrinsics", key)
-        if count > _MOST_CAMERAS:
-            raise LightFieldError(f"{self._path}: {key} must be at most {_MOST_CAMERAS}, not {count}.")
-        return count
 
 
 def write_parameters(

@@ -4,6 +4,7 @@ import secrets
 from collections.abc import Sequence
 
 import numpy as np
+from PIL import Image
 
 from lfgpu.cameras import Explanation
 from lfgpu.data.lightfield import LightField
@@ -13,9 +14,9 @@ from lfgpu.reports import facts
 from lfgpu.reports.report import judged
 from lfgpu.viz.cards import Card, drawn_card, map_card, view_card
 from lfgpu.viz.pages import rendered
-from lfgpu.viz.panels import epi_of_column, epi_of_row, rgb
+from lfgpu.viz.panels import rgb
 
-_WIDE = 640  # pixels: the width of an EPI
+_WIDE, _HIGH = 640, 120  # pixels: the width of an EPI, and about its height
 
 Rows = list[tuple[str, str]]
 
@@ -46,10 +47,11 @@ def _light_field(lf: LightField) -> tuple[list[Card], Rows]:
     height, width = lf.size
     x, y = width // 2, height // 2
     cards = [view_card("Reference view", rgb(lf.views[lf.reference_index], lf.scale))]
-    if len(lf.row()) > 1:
-        cards.append(drawn_card(f"EPI of row {y}", epi_of_row(lf, y, wide=_WIDE)))
-    if len(lf.column()) > 1:
-        cards.append(drawn_card(f"EPI of column {x}", epi_of_column(lf, x, wide=_WIDE)))
+    for title, lines in ((f"EPI of row {y}", lf.epi_horizontal(y)), (f"EPI of column {x}", lf.epi_vertical(x))):
+        if len(lines) > 1:
+            size = _WIDE, len(lines) * max(3, round(_HIGH / len(lines)))
+            epi = Image.fromarray(np.ascontiguousarray(rgb(lines, lf.scale))).resize(size, Image.Resampling.NEAREST)
+            cards.append(drawn_card(title, np.asarray(epi)))
     return cards, facts.typeset_rows(lf)
 
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -96,8 +96,8 @@ def make(
     (48, 64)
     """
     scene = _scene(name, seed, grid, size, disparity_range)
-    recording = _recording(scene, noise, reference, dtype, channels)
-    return _record(scene, recording, _time(name, time), _displaced(displaced, scene.grid))
+    record = _recorder(scene, noise, reference, dtype, channels)
+    return record(_time(name, time), _displaced(displaced, scene.grid))
 
 
 def sequence(
@@ -138,8 +138,8 @@ def sequence(
     scene = _scene(name, seed, grid, size, disparity_range)
     if name not in _MOVING:
         raise LightFieldError(f"a sequence needs a scene that moves ({', '.join(_MOVING)}), found {name!r}.")
-    recording = _recording(scene, noise, reference, dtype, channels)
-    return (_record(scene, recording, index / frames) for index in range(frames))
+    record = _recorder(scene, noise, reference, dtype, channels)
+    return (record(index / frames) for index in range(frames))
 
 
 def true_disparity(
@@ -218,16 +218,6 @@ def true_motion(
     return render.motion(scene.things, (before, after), scene.frame, scene.offset(place))
 
 
-class _Recording(NamedTuple):
-    """The way in which a scene is recorded."""
-
-    seed: int
-    noise: float
-    reference: tuple[int, int]
-    dtype: np.dtype[Any]
-    channels: int
-
-
 @dataclass(frozen=True, eq=False)
 class _Scene:
     name: str
@@ -278,28 +268,35 @@ def _farthest(grid: tuple[int, int]) -> tuple[float, float]:
 
 
 def _record(
-    scene: _Scene, recording: _Recording, time: float, displaced: NDArray[np.float64] | None = None
+    scene: _Scene,
+    noise: float,
+    reference: tuple[int, int],
+    dtype: np.dtype[Any],
+    channels: int,
+    time: float,
+    displaced: NDArray[np.float64] | None = None,
 ) -> LightField:
     """Record all views of a scene at a time, and the ground truth of the reference view."""
     rows, columns = scene.grid
     frame, things = scene.frame, scene.at(time)
-    views = np.empty((rows, columns, frame.height, frame.width, recording.channels), recording.dtype)
+    views = np.empty((rows, columns, frame.height, frame.width, channels), dtype)
     for row, column in np.ndindex(rows, columns):
         du, dv = scene.offset((row, column))
         if displaced is not None:
             du, dv = (du, dv) + displaced[row * columns + column]
         colours = render.picture(things, frame, (du, dv))
-        if recording.channels == 1:
+        if channels == 1:
             colours = np.tensordot(_GREY, colours, axes=1)[None]
         intensities = np.moveaxis(colours, 0, 2)
-        if recording.noise:
+        if noise:
             # One generator per view and time, so that the noise of a view does not depend on the other views.
-            rng = np.random.default_rng([recording.seed, row, column, round(time * 2**32)])
-            noise = rng.standard_normal(intensities.shape, np.float32)
-            intensities = intensities + np.float32(recording.noise) * noise
-        views[row, column] = _stored(np.clip(intensities, 0.0, 1.0), recording.dtype)
-    row, column = recording.reference
-    truth = render.disparity(things, frame, scene.offset(recording.reference)).astype(np.float32)
+            rng = np.random.default_rng([scene.seed, row, column, round(time * 2**32)])
+            grain = rng.standard_normal(intensities.shape, np.float32)
+            intensities = intensities + np.float32(noise) * grain
+        intensities = np.clip(intensities, 0.0, 1.0)
+        views[row, column] = intensities if dtype == np.float32 else np.rint(intensities * np.iinfo(dtype).max)
+    row, column = reference
+    truth = render.disparity(things, frame, scene.offset(reference)).astype(np.float32)
     return LightField.from_grid(
         views,
         reference=row * columns + column,
@@ -307,12 +304,6 @@ def _record(
         truth=GroundTruth(truth, (float(column), float(row))),
         name=scene.name,
     )
-
-
-def _stored(intensities: NDArray[np.float32], dtype: np.dtype[Any]) -> NDArray[Any]:
-    if dtype == np.float32:
-        return intensities
-    return np.rint(intensities * np.iinfo(dtype).max).astype(dtype)
 
 
 def _geometry(scene: _Scene) -> Geometry:
@@ -390,10 +381,11 @@ def _dtype(value: DTypeLike) -> np.dtype[Any]:
     return dtype
 
 
-def _recording(
+def _recorder(
     scene: _Scene, noise: float, reference: tuple[int, int] | None, dtype: DTypeLike, channels: int
-) -> _Recording:
+) -> Callable[..., LightField]:
+    """Check how a scene is recorded; returns a function of the time, and of displacements."""
     check_number("noise", noise, 0, 1)
     if isinstance(channels, bool) or channels not in (1, 3):
         raise LightFieldError(f"channels must be 1 (grey) or 3 (colour), found {channels!r}.")
-    return _Recording(scene.seed, float(noise), _place(reference, scene.grid), _dtype(dtype), channels)
+    return partial(_record, scene, float(noise), _place(reference, scene.grid), _dtype(dtype), channels)

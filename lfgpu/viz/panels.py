@@ -1,4 +1,4 @@
-"""Pictures of views and EPIs as arrays of pixels, for pages and notebooks."""
+"""Pictures of views as arrays of pixels, for pages and notebooks."""
 
 import io
 from typing import Any
@@ -7,12 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from lfgpu.data.lightfield import LightField
-
 Picture = NDArray[np.uint8]
 """An RGB picture, uint8 [y, x, 3]."""
 
-_EPI = 120  # pixels, roughly: the height of an EPI
 SLOPE = (255, 64, 129)
 
 
@@ -33,26 +30,9 @@ def fitted(picture: Picture, *, wide: int, tall: int) -> Image.Image:
     return image.resize(size, Image.Resampling.BOX, reducing_gap=1.0)
 
 
-def epi_of_row(lf: LightField, y: int, *, wide: int) -> Picture:
-    """Draw the EPI of image row `y` in the reference view's row of views, `wide` pixels wide."""
-    return _epi(lf.epi_horizontal(y), lf.scale, wide)
-
-
-def epi_of_column(lf: LightField, x: int, *, wide: int) -> Picture:
-    """Draw the EPI of image column `x`, with image rows from left to right, `wide` pixels wide."""
-    return _epi(lf.epi_vertical(x), lf.scale, wide)
-
-
 def encoded(picture: Picture | Image.Image) -> bytes:
     """Encode a picture as PNG."""
     buffer = io.BytesIO()
     image = picture if isinstance(picture, Image.Image) else Image.fromarray(np.ascontiguousarray(picture))
     image.save(buffer, "PNG")
     return buffer.getvalue()
-
-
-def _epi(lines: NDArray[Any], scale: float, wide: int) -> Picture:
-    """Draw an EPI, `lines` [view, pixel, c]; each view is an integer number of pixels high."""
-    height = len(lines) * max(3, round(_EPI / len(lines)))
-    epi = Image.fromarray(np.ascontiguousarray(rgb(lines, scale)))
-    return np.asarray(epi.resize((wide, height), Image.Resampling.NEAREST))
