@@ -221,14 +221,14 @@ def _scenes_are_drawn_once(request: pytest.FixtureRequest, tmp_path_factory: pyt
         shutil.rmtree(other, ignore_errors=True)
 
     @wraps(draw)
-    def record(scene: Any, recording: Any, time: float, displaced: Any = None) -> LightField:
-        moved = None if displaced is None else displaced.tolist()
-        named = repr((scene.name, scene.grid, scene.frame, scene.seed, recording, time, moved))
+    def record(scene: Any, *how: Any) -> LightField:
+        told = [part.tolist() if isinstance(part, np.ndarray) else part for part in how]
+        named = repr((scene.name, scene.grid, scene.frame, scene.seed, told))
         file = kept / state / sha256(named.encode()).hexdigest()
         try:
             content = file.read_bytes()
         except FileNotFoundError:  # another run, of another NumPy, may have removed the folder, too
-            content = pickle.dumps(draw(scene, recording, time, displaced))
+            content = pickle.dumps(draw(scene, *how))
             file.parent.mkdir(parents=True, exist_ok=True)
             written = file.with_name(secrets.token_hex(8))
             written.write_bytes(content)

@@ -75,7 +75,8 @@ def arranged(
     """
     told = axes is not None
     if axes is None:
-        axes = _usual(array.shape)
+        colours = array.ndim >= 4 and array.shape[-1] <= 4
+        axes = {3: "nyx", 4: "nyxc" if colours else "vuyx", 5: "vuyxc" if colours else ""}.get(array.ndim)
         if axes is None or 0 in array.shape:
             raise LightFieldError(
                 f"{path} holds an array of shape {array.shape}; views must be [v, u, y, x, c], [v, u, y, x], "
@@ -144,13 +145,6 @@ def _is_mask(alpha: NDArray[Any]) -> bool:
     least, most = float((alpha <= _EXTREME * top).mean()), float((alpha >= (1 - _EXTREME) * top).mean())
     between = 1 - least - most
     return between < _EXTREME or between < (1 - max(least, most)) / 2
-
-
-def _usual(shape: tuple[int, ...]) -> str | None:
-    colours = len(shape) >= 4 and shape[-1] <= 4
-    return {3: "nyx", 4: "nyxc" if colours else "vuyx", 5: "vuyxc" if colours else None}.get(len(shape)) or (
-        "" if len(shape) == 5 else None
-    )
 
 
 def _check_sense(path: Path, shape: tuple[int, ...], axes: str, grid: tuple[int, int] | None) -> None:

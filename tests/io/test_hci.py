@@ -104,13 +104,6 @@ def test_hci_parameters_that_are_no_text(tmp_path: Path) -> None:
     assert "parameters.cfg is not a valid configuration file" in refusal(lambda: read(tmp_path))
 
 
-def test_hci_two_files_for_one_view(tmp_path: Path) -> None:
-    save_hci(tmp_path, range(9))
-    save(tmp_path / "input_Cam4.png")
-    text = refusal(lambda: read(tmp_path))
-    assert "input_Cam004.png and input_Cam4.png" in text
-
-
 @pytest.mark.parametrize("name", ["gt_disp_lowres.pfm", "valid_mask.png"])
 def test_hci_truth_of_another_size(tmp_path: Path, name: str) -> None:
     save_hci(tmp_path, range(9))

@@ -12,7 +12,7 @@ from lfgpu.io.damage import read_as
 from lfgpu.io.folders import IMAGE_SUFFIXES
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet.vignetting import Float32Array
-from lfgpu.io.lytro.container import is_container, is_sound
+from lfgpu.io.lytro.container import is_container
 from lfgpu.io.lytro.contents import Camera, read_contents
 from lfgpu.io.texts import Members
 
@@ -170,8 +170,7 @@ def _from_container(path: Path) -> Capture:
             f"{path} is damaged: {width} x {height} values of {bits} bits are {width * height * bits // 8} bytes, "
             f"its raw picture has {stored}."
         )
-    data = contents.container.data(contents.raw.section)
-    values = unpack(data, (height, width), bits)
+    values = unpack(contents.container.data(contents.raw.section), (height, width), bits)
     places = _places(path, details.object("mosaic"))
     levels = details.object("pixelFormat")
     black, white = (
@@ -180,17 +179,13 @@ def _from_container(path: Path) -> Capture:
     )
     if (white <= black).any():
         raise LightFieldError(f"{path} is damaged: its white level is not above its black level.")
-    notes = []
-    if not is_sound(contents.raw.section, data):
-        notes.append("The picture's SHA-1 is not the one that the container names it by; it may be damaged.")
-    if image.values.get("orientation", 1) != 1:
-        notes.append("The camera was held turned, the views are as the sensor saw them.")
+    turned = image.values.get("orientation", 1) != 1
     return Capture(
         _levelled(values, black, white),
         "".join(place[0] for row in places for place in row),
         _balance(image),
         f"Lytro container, {width} x {height} of {bits} bits",
-        tuple(notes),
+        ("The camera was held turned, the views are as the sensor saw them.",) if turned else (),
         contents.camera,
     )
 

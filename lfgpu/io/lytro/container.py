@@ -5,7 +5,6 @@ and the length of its data, big endian. If that is not 0, 80 bytes with the sect
 zeros up to a multiple of 16. One section is the table of contents; it is JSON and names all others.
 """
 
-import hashlib
 import json
 import os
 import struct
@@ -66,11 +65,6 @@ class Container:
 def is_container(path: Path) -> bool:
     """Tell whether a file begins as a container does."""
     return head(path, len(_MAGIC)) == _MAGIC
-
-
-def is_sound(name: str, data: bytes) -> bool:
-    """Tell whether data have the SHA-1 that their section is named by."""
-    return name == f"sha1-{hashlib.sha1(data, usedforsecurity=False).hexdigest()}"
 
 
 def open_container(path: Path) -> Container:
