@@ -297,7 +297,12 @@ def _errors(
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Return |error| of the scored pixels [p], NaN or infinite where undefined, and the mask [y, x] of these."""
     if isinstance(truth, GroundTruth):
-        _check_same_view(disparity, truth)
+        place = disparity.position if isinstance(disparity, DepthResult | DisparityMap) else None
+        if place is not None and not np.allclose(place, truth.position, atol=_SAME_PLACE):
+            raise LightFieldError(
+                f"the map is of the view at {view_at(place)}, the truth of the one at {view_at(truth.position)}: "
+                "estimate that view (LightField.with_reference)."
+            )
         mask = truth.mask if mask is None else mask
         truth = truth.disparity
     if isinstance(disparity, DepthResult | DisparityMap):
@@ -324,15 +329,6 @@ def _errors(
             f"inside the mask and the border of {border} pixels."
         )
     return np.abs(estimated[scored] - true[scored]), scored
-
-
-def _check_same_view(disparity: object, truth: GroundTruth) -> None:
-    place = disparity.position if isinstance(disparity, DepthResult | DisparityMap) else None
-    if place is not None and not np.allclose(place, truth.position, atol=_SAME_PLACE):
-        raise LightFieldError(
-            f"the map is of the view at {view_at(place)}, the truth of the one at {view_at(truth.position)}: estimate "
-            "that view (LightField.with_reference)."
-        )
 
 
 def _numbers(name: str, others: str, values: object) -> NDArray[np.float64]:

@@ -168,7 +168,12 @@ def rectify(
         rig = fit_rig(cameras, depths=depths, reference=reference)
         disparity_range = disparity_range or _range(rig, depths)
         if unit is None and not plausible(rig.geometry):
-            pictures = replace(pictures, notes=(*pictures.notes, _doubt(rig.geometry.baseline_m)))
+            doubt = (
+                f"Neighbouring cameras would stand {rig.geometry.baseline_m:.4g} m apart: lengths of the calibration "
+                "are probably no metres; say their unit with unit= (--unit mm or cm on the command line), or depths "
+                "are of that unit."
+            )
+            pictures = replace(pictures, notes=(*pictures.notes, doubt))
         lf = _with_truth(rig.light_field(pictures), pictures, rig)
     elif not model and not tones:
         raise LightFieldError(
@@ -211,13 +216,6 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
 
 
 # --- steps ---
-
-
-def _doubt(baseline: float) -> str:
-    return (
-        f"Neighbouring cameras would stand {baseline:.4g} m apart: lengths of the calibration are probably no metres; "
-        "say their unit with unit= (--unit mm or cm on the command line), or depths are of that unit."
-    )
 
 
 def _loaded(path: Path, calibrated: bool) -> LightField:

@@ -249,7 +249,9 @@ class _Search:
             )
         moved = f"lined up ({rms:.2f} px rms)" if geometric else "left where they are"
         lined_up = self._full(back if geometric else None)
-        level_error = _level_error(found.shift, lf.offsets) if geometric else 0.0
+        # The part of independent shifts in proportion to the offsets: the reference stands, and one part is taken out.
+        spread = (found.shift**2).sum() / max(2 * len(found.shift) - 3, 1)
+        level_error = float(np.sqrt(spread / (lf.offsets**2).sum())) if geometric else 0.0
         if level_error > _LEVEL_MATTERS:
             lined_up = replace(lined_up, notes=(*lined_up.notes, _level_note(lf, bundle, level_error)))
         return replace(
@@ -341,12 +343,6 @@ def _with_reference_fixed(warps: Float64Array, reference: int, offsets: Float64A
     slope = float((fixed[:, :2] * offsets).sum()) / total
     fixed[:, :2] -= slope * offsets
     return np.asarray(fixed)
-
-
-def _level_error(shift: Float64Array, offsets: Float64Array) -> float:
-    """Estimate the part of independent shifts [n, 2] that is in proportion to the offsets, pixels per view step."""
-    free = 2 * len(shift) - 3  # the reference stands still, and one part in proportion is taken out
-    return float(np.sqrt((shift**2).sum() / max(free, 1) / (offsets**2).sum()))
 
 
 def _level_note(lf: LightField, bundle: Bundle, error: float) -> str:

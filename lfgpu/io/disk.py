@@ -46,7 +46,12 @@ class Collected:
         self._file: IO[bytes] | None = None
         self._writing, needed = threading.Lock(), count * like.nbytes
         if wanted_on_disk():
-            self._check_disk(needed)
+            folder = tempfile.gettempdir()
+            if needed > (free := shutil.disk_usage(folder).free):
+                raise LightFieldError(
+                    f"{source}: its views are {needed / 2**30:.1f} GiB unpacked, {folder} has room for "
+                    f"{free / 2**30:.1f} GiB; set TMPDIR to a folder with more."
+                )
             self._file = tempfile.TemporaryFile(prefix="lfgpu-")  # noqa: SIM115 - the array lives as long as it
         else:
             check_memory(source, needed, advice="read fewer views, or leave them on disk (lazy=True, --max-memory)")
@@ -84,12 +89,3 @@ class Collected:
                 f"{self._source}: the views cannot be unpacked into {tempfile.gettempdir()}: {error.strerror}; set "
                 "TMPDIR to a folder with more room."
             ) from error
-
-    def _check_disk(self, needed: int) -> None:
-        folder = tempfile.gettempdir()
-        free = shutil.disk_usage(folder).free
-        if needed > free:
-            raise LightFieldError(
-                f"{self._source}: its views are {needed / 2**30:.1f} GiB unpacked, {folder} has room for "
-                f"{free / 2**30:.1f} GiB; set TMPDIR to a folder with more."
-            )

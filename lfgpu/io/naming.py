@@ -112,14 +112,6 @@ def values(numbers: Sequence[Number]) -> list[tuple[int, ...]]:
     return list(zip(*(number.values for number in numbers), strict=True))
 
 
-def name_of(file: Path, folder: Path) -> Name:
-    """Split the name of a file below a folder into texts and numbers."""
-    stem = file.relative_to(folder).with_suffix("").as_posix()
-    parts = re.split(r"([0-9]+)", stem)
-    digits = tuple(parts[1::2])
-    return Name(file, tuple(parts[::2]), digits, tuple(int(text[:_LONGEST]) for text in digits))
-
-
 def _signed(name: Name) -> Name:
     """Return the same name if the characters before its numbers are signs of them."""
     texts, numbers = list(name.texts), list(name.numbers)
@@ -133,7 +125,11 @@ def _signed(name: Name) -> Name:
 def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
     """Files whose names have numbers, those that are named alike but for the numbers together; the most first."""
     files = list(files)
-    plain = [name for file in files if (name := name_of(file, folder)).digits]
+    plain = []
+    for file in files:
+        parts = re.split(r"([0-9]+)", file.relative_to(folder).with_suffix("").as_posix())
+        if digits := tuple(parts[1::2]):
+            plain.append(Name(file, tuple(parts[::2]), digits, tuple(int(text[:_LONGEST]) for text in digits)))
     signed = [_signed(name) for name in plain]
     below = {place for name in signed for place, number in enumerate(name.numbers) if number < 0}
     # A minus alone may as well be a hyphen: "view_-01_-02".

@@ -1,6 +1,7 @@
 """Videos, decoded by ffmpeg in a process of its own, and those of a camera that moves along a rail (extra `video`)."""
 
 from collections.abc import Generator
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -55,18 +56,12 @@ def read_video(path: Path, *, grid: tuple[int, int] | None = None, every: int | 
     """Read the frames of a video whose camera moves right in equal steps, down with a grid (n, 1); one of `every`."""
     if recognise(path) is None:
         raise LightFieldError(f"{path} is not a video file that can be read; known are MP4, MOV, MKV, WebM and AVI.")
-    taken = _taken(path, every or 1)
+    taken: list[NDArray[np.uint8]] = []
+    for frame in islice(frames(path), 0, None, every or 1):
+        check_memory(path, 2 * (len(taken) + 1) * frame.nbytes, advice=_ADVICE)  # twice: they are stacked
+        taken.append(frame)
     if len(taken) < 2:
         raise LightFieldError(f"{path} has {len(taken)} frames to take; depth needs at least two views of the scene.")
     shape = (1, len(taken)) if grid is None else grid_shape(path, len(taken), grid)
     note = f"Frames are taken for a camera that moves {'down' if shape[1] == 1 else 'to the right'} in equal steps."
     return field_of(path, np.stack(taken), positions(shape), grid_shape=shape, notes=(note,))
-
-
-def _taken(path: Path, every: int) -> list[NDArray[np.uint8]]:
-    taken: list[NDArray[np.uint8]] = []
-    for index, frame in enumerate(frames(path)):
-        if index % every == 0:
-            check_memory(path, 2 * (len(taken) + 1) * frame.nbytes, advice=_ADVICE)  # twice: they are stacked
-            taken.append(frame)
-    return taken

@@ -61,27 +61,12 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] |
     notes = tuple(
         f"{remark[0].upper()}{remark[1:]} in {often} of {len(files)} views." for remark, often in counts.items()
     )
-    valid = mask_of(masks, views.shape[:3])
-    hidden = valid is None and any(mask is not None and not mask.all() for mask in masks)
-    return views.array(), valid, (*notes, *mask_notes(valid, hidden=hidden))
-
-
-def mask_of(masks: Sequence[NDArray[np.bool_] | None], shape: tuple[int, ...]) -> NDArray[np.bool_] | None:
-    """Return the masks of views as one array [n, y, x]; None if nothing is transparent, or everything."""
     if all(mask is None or mask.all() for mask in masks):
-        return None
-    valid = np.ones(shape, np.bool_)
-    for index, mask in enumerate(masks):
-        if mask is not None:
-            valid[index] = mask
-    return valid if valid.any() else None
-
-
-def mask_notes(valid: NDArray[np.bool_] | None, *, hidden: bool) -> tuple[str, ...]:
-    """Describe a mask from transparency in notes; `hidden` says that all pixels are transparent."""
-    if hidden:
-        return ("All pixels are transparent, so transparency is not taken for a mask.",)
-    return () if valid is None else (f"Transparent pixels are not valid: {100 * (1 - valid.mean()):.1f} %.",)
+        return views.array(), None, notes
+    valid = np.stack([np.ones(views.shape[1:3], np.bool_) if mask is None else mask for mask in masks])
+    if not valid.any():
+        return views.array(), None, (*notes, "All pixels are transparent, so transparency is not taken for a mask.")
+    return views.array(), valid, (*notes, f"Transparent pixels are not valid: {100 * (1 - valid.mean()):.1f} %.")
 
 
 def _kind(image: NDArray[Any]) -> str:

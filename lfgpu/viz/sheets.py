@@ -69,7 +69,7 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
     if not methods:
         raise LightFieldError("there is nothing to compare; give at least one scene with the map of one method.")
     errors = {(s.name, m): error_map(values, s.truth) for s in scenes for m, values in s.maps.items()}
-    extents = [float(value) for error in errors.values() for value in _extent(error)]
+    known = np.concatenate([error[np.isfinite(error)] for error in errors.values()])
     heights = [round(_CELL * scene.truth.shape[0] / scene.truth.shape[1]) for scene in scenes]
     across = _MARGIN + (2 + len(methods)) * (_CELL + _MARGIN)
     sheet = Image.new("RGB", (across, _LINE + sum(height + _LINE for height in heights) + _MARGIN), _PAPER)
@@ -95,13 +95,8 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
         label=f"{LOOKS['error'].title}; grey: undefined or not scored",
         colours=LOOKS["error"].colours,
         limits=ERRORS,
-        extent=(min(extents), max(extents)),
+        extent=(float(known.min(initial=0)), float(known.max(initial=0))),
     )
-
-
-def _extent(values: NDArray[np.float32]) -> tuple[float, float]:
-    known = values[np.isfinite(values)]
-    return (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
 
 
 def _framed(error: NDArray[np.float32], border: int) -> Picture:

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from lfgpu.errors import LightFieldError
 from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.vignetting import Float32Array, bands
+from lfgpu.io.parallax import shrunk
 
 RED, GREEN, BLUE = 0, 1, 2
 PATTERNS = ("bggr", "grbg", "gbrg", "rggb")
@@ -50,16 +51,11 @@ def green_diagonal(mosaic: Float32Array) -> int | None:
     blocks = [mosaic[i:height:2, j:width:2].astype(np.float64) for i in (0, 1) for j in (0, 1)]
     level = np.mean([block.mean() for block in blocks])
     step = max(1, min(height, width) // 256)  # local means over squares of 1/128 of the picture or so
-    means = np.array([_coarse(block, step) for block in blocks])
+    means = np.array([shrunk(block, step) for block in blocks])
     main, other = (float(np.abs(means[a] - means[b]).mean()) for a, b in ((0, 3), (1, 2)))
     if max(main, other) < _NO_MOSAIC * level or min(main, other) > _ALIKE * max(main, other):
         return None
     return 0 if main < other else 1
-
-
-def _coarse(block: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-    height, width = (side // step * step for side in block.shape)
-    return np.asarray(block[:height, :width].reshape(height // step, step, width // step, step).mean((1, 3)))
 
 
 def demosaic(mosaic: Float32Array, light: Float32Array, grid: Microlenses, pattern: str) -> Float32Array:
