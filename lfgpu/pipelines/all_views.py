@@ -7,7 +7,7 @@ takes less time than to estimate every view, and the maps are consistent.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from numbers import Integral
 from time import perf_counter
 
@@ -78,15 +78,26 @@ def estimate_all_views(
     check_light_field(lf)
     if isinstance(keys, bool) or not isinstance(keys, Integral) or keys < 1:
         raise LightFieldError(f"keys must be an integer >= 1; found {keys!r}.")
-    report = on_progress or (lambda stage, iteration, value: None)
+    report, config = on_progress or (lambda stage, iteration, value: None), configured(config)
     usable = None if lf.valid is None else lf.valid.mean((1, 2)) >= _LEAST_VALID
     chosen = spread_out(lf.positions, lf.reference_index, int(keys), usable)
     start = perf_counter()
 
     report("keys", 0, 0.0)
     estimates: list[DepthResult] = []
-    for pipeline in _pipelines(lf, chosen, configured(config), disparity_range, backend, device, deterministic):
+    measured: Measured | None = None  # range and noise are those of the first key view
+    for index in chosen:
+        pipeline = DepthPipeline(
+            lf.with_reference(index),
+            config=config,
+            disparity_range=disparity_range,
+            backend=backend,
+            device=device,
+            deterministic=deterministic,
+            measured=measured,
+        )
         estimates.append(pipeline.estimate())
+        measured = pipeline.measured  # the first estimate may have widened the range
         report("keys", len(estimates), len(estimates) / len(chosen))
     place = open_device(backend, device)
     verdict = verdict_of(lf, estimates[0], place, disparity_range=disparity_range, check_cameras=check_cameras)
@@ -136,31 +147,6 @@ def spread_out(positions: Float64Array, first: int, count: int, usable: NDArray[
             break
         chosen.append(int(np.argmax(distance)))
     return chosen
-
-
-def _pipelines(
-    lf: LightField,
-    chosen: Sequence[int],
-    config: Config,
-    disparity_range: tuple[float, float] | None,
-    backend: BackendName,
-    device: str | None,
-    deterministic: bool,
-) -> Iterator[DepthPipeline]:
-    """Make a pipeline per key view, each when it is needed; range and noise are those of the first view."""
-    measured: Measured | None = None
-    for index in chosen:
-        pipeline = DepthPipeline(
-            lf.with_reference(index),
-            config=config,
-            disparity_range=disparity_range,
-            backend=backend,
-            device=device,
-            deterministic=deterministic,
-            measured=measured,
-        )
-        yield pipeline
-        measured = pipeline.measured  # the first estimate may have widened the range
 
 
 class Join:
