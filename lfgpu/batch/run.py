@@ -35,22 +35,15 @@ class Summary:
     settings: Settings | None = None
     """The settings of the estimates."""
     damaged: int = 0  # number of damaged lines of the manifest, which were skipped
+    todo: int = 0  # number of items of this run
+    workers: int = 0
+    dashboard: str | None = None
+    last: Entry | None = None  # entry of the item that came to its end last
 
     @property
     def left(self) -> int:
         """The number of items that were not reached."""
         return len(self.items) - self.kept - self.computed - len(self.failed)
-
-
-@dataclass
-class Progress:
-    """The progress of a batch."""
-
-    summary: Summary
-    todo: int
-    workers: int = 0
-    dashboard: str | None = None
-    last: Entry | None = None
 
 
 class Batch:
@@ -61,33 +54,50 @@ class Batch:
         self.summary = Summary(self._items, settings=settings)
         """The outcome so far, also after an exception."""
 
-    def run(self, cluster: Cluster, *, on_progress: Callable[[Progress], None] = lambda _: None) -> Summary:
+    def run(self, cluster: Cluster, *, on_progress: Callable[[Summary], None] = lambda _: None) -> Summary:
         """Compute the items on a cluster, which is started only if there is work.
 
         `on_progress` is called a few times a second, and after each item. If the run ends early (Ctrl-C, a lost
         cluster, a full disk), the manifest holds what was done until then.
         """
-        start, out = time.perf_counter(), self._out
+        start, out, summary = time.perf_counter(), self._out, self.summary
         with Manifest(out) as manifest:
-            self.summary.damaged = damaged_lines(out)
+
+            def done(entries: list[Entry]) -> None:
+                for entry in entries:
+                    summary.entries[entry["item"]] = entry
+                    if entry["status"] == DONE:
+                        summary.computed += 1
+                    else:
+                        summary.failed.append(entry)
+                manifest.add(entries)
+                for entry in entries:
+                    summary.last = entry
+                    on_progress(summary)
+
+            def tick(workers: int) -> None:
+                summary.workers = workers
+                on_progress(summary)
+
+            summary.damaged = damaged_lines(out)
             todo = self._todo(read_manifest(out))
+            summary.todo = len(todo)
             _remove_left_overs(out, self._items)
             if todo:
                 manifest.add(_parameter_sets(todo))
-                progress = Progress(self.summary, len(todo))
                 try:
                     with cluster:
-                        progress.dashboard = cluster.dashboard
-                        self._run(cluster, todo, manifest, progress, on_progress)
+                        summary.dashboard = cluster.dashboard
+                        cluster.run(_sequences(todo), done, tick)
                 finally:
-                    self.summary.seconds = time.perf_counter() - start
+                    summary.seconds = time.perf_counter() - start
         if manifest.unwritten:
             raise BatchError(
                 f"the disk is full: the manifest in {out} lacks {len(manifest.unwritten)} items that are done; free "
                 "some space and run the same command again, which repeats them."
             )
         self._check_there()
-        return self.summary
+        return summary
 
     def _check_there(self) -> None:
         """BatchError if outputs are missing, because workers on another machine wrote them to a local disk."""
@@ -113,34 +123,6 @@ class Batch:
             else:
                 todo.append(job)
         return todo
-
-    def _run(
-        self,
-        cluster: Cluster,
-        todo: Sequence[Job],
-        manifest: Manifest,
-        progress: Progress,
-        on_progress: Callable[[Progress], None],
-    ) -> None:
-        summary = self.summary
-
-        def done(entries: list[Entry]) -> None:
-            for entry in entries:
-                summary.entries[entry["item"]] = entry
-                if entry["status"] == DONE:
-                    summary.computed += 1
-                else:
-                    summary.failed.append(entry)
-            manifest.add(entries)
-            for entry in entries:
-                progress.last = entry
-                on_progress(progress)
-
-        def tick(workers: int) -> None:
-            progress.workers = workers
-            on_progress(progress)
-
-        cluster.run(_sequences(todo), done, tick)
 
 
 def _jobs(items: Sequence[Item], out: Path, settings: Settings) -> list[Job]:

@@ -17,7 +17,7 @@ from lfgpu.printable import printable
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lfgpu.batch.run import Progress, Summary
+    from lfgpu.batch.run import Summary
 
 _INTERRUPTED = 130
 _NAMED = 5  # failures and folders that are printed by name; the report lists all
@@ -141,7 +141,7 @@ def batch(
         with counting(quiet=quiet) as show:
             work.run(
                 cluster,
-                on_progress=lambda now: show(now.summary.computed + len(now.summary.failed), now.todo, _said(now)),
+                on_progress=lambda now: show(now.computed + len(now.failed), now.todo, _said(now)),
             )
     except BaseException as error:
         if not is_interruption(error):
@@ -176,14 +176,13 @@ def _share_of_cores(workers: int) -> int:
     return max(1, get_threads() // workers)
 
 
-def _said(progress: Progress) -> str:
+def _said(summary: Summary) -> str:
     """Describe for the display how a batch fares."""
-    summary = progress.summary
-    parts = [f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept, {progress.workers} workers"]
-    if progress.last is not None:
-        parts.append(f"last: {printable(progress.last['item'])}")
-    if progress.dashboard:
-        parts.append(f"dashboard: {progress.dashboard}")
+    parts = [f"{summary.computed} done, {len(summary.failed)} failed, {summary.kept} kept, {summary.workers} workers"]
+    if summary.last is not None:
+        parts.append(f"last: {printable(summary.last['item'])}")
+    if summary.dashboard:
+        parts.append(f"dashboard: {summary.dashboard}")
     return "; ".join(parts)
 
 
