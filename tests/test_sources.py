@@ -376,12 +376,12 @@ def test_what_is_switched_on_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path:
             assert stream.stats()["frames_done"] == 1  # its map was waited for
             pages[0].switch("record", False)
             pages[0].switch("pause", False)
-        return page.pauses()
+        return page.pauses
 
     options: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu"}
     stream = lfgpu.DepthStream(film()[0], policy="block", **options)
     with live.View(film()[0], records=True) as page, stream:
-        frames = recorded(iter(film()), film()[0], tmp_path, wanted=page.records)
+        frames = recorded(iter(film()), film()[0], tmp_path, wanted=lambda: page.records)
         feed(stream, frames, hold=hold)
     assert asked[:5] == [0, 1, 1, 1, 2]
     assert [folder.name for folder in tmp_path.iterdir()] == ["frame_000000"]

@@ -156,7 +156,7 @@ def _display(*columns: str | ProgressColumn, quiet: bool = False, expand: bool =
 
 
 @contextmanager
-def waiting(text: str) -> Iterator[Callable[[str], None]]:
+def waiting(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
     """Show on stderr what is going on and for how long while the block runs; nothing where it is no terminal.
 
     Yields what changes the text.
@@ -164,7 +164,7 @@ def waiting(text: str) -> Iterator[Callable[[str], None]]:
     from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
 
     columns = SpinnerColumn("line"), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
-    with _display(*columns) as display:
+    with _display(*columns, quiet=quiet) as display:
         task = display.add_task(text)
         yield lambda now: display.update(task, description=now)
 

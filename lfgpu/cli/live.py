@@ -133,7 +133,6 @@ def live(
     message says if cameras have moved.
     """
     from contextlib import nullcontext, suppress
-    from functools import partial
 
     from lfgpu import calibration
     from lfgpu.io import check_writable, read
@@ -182,19 +181,25 @@ def live(
             rectifier=rectifier,
         ) as stream,
     ):
+
+        def done(result: StreamResult) -> None:
+            record.add(result)
+            look()
+            page.show(stream, result)
+
         if recording is not None:
-            coming = recorded(coming, first, recording, wanted=page.records)
+            coming = recorded(coming, first, recording, wanted=lambda: page.records)
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
-        with _terminated_as_by_ctrl_c(), watch, Display(stream, quiet=quiet) as display:
+        with _terminated_as_by_ctrl_c(), watch, _displayed(stream, quiet=quiet) as look:
             try:
                 feed(
                     stream,
                     coming,
                     max_fps=max_fps,
                     most=frames,
-                    hold=page.pauses,
+                    hold=lambda: page.pauses,
                     tag=page.kept,
-                    on_done=_all(record.add, display.look, partial(page.show, stream)),
+                    on_done=done,
                 )
             except KeyboardInterrupt:
                 stream.close(finish=False)
@@ -290,17 +295,20 @@ class Record:
 class View:
     """The page in the browser that shows frames and maps, and what is switched there.
 
-    Without a first frame there is none. `records` says whether frames are recorded, so that this can be switched.
+    Without a first frame there is none. `records` says whether frames are recorded; if they are, that can be switched.
     """
 
     def __init__(self, first: LightField | None, *, records: bool) -> None:
+        from functools import partial
+
         self._viewer, self._next = None, 0.0
-        self._paused, self._records = False, records
+        self.pauses, self.records = False, records
         if first is not None:
             from lfgpu.viewer import Viewer
 
             self._viewer = Viewer(first)
-            self._viewer.offer(pause=self._pause, record=self._record if records else None)
+            record = partial(setattr, self, "records") if records else None
+            self._viewer.offer(pause=partial(setattr, self, "pauses"), record=record)
             if records:
                 self._viewer.switch("record", True)
             _say(f"Open {self._viewer.url} with a browser on this machine.")
@@ -311,20 +319,6 @@ class View:
     def __exit__(self, *_: object) -> None:
         if self._viewer is not None:
             self._viewer.close()
-
-    def pauses(self) -> bool:
-        """Tell whether the stream is paused."""
-        return self._paused
-
-    def records(self) -> bool:
-        """Tell whether frames are to be recorded."""
-        return self._records
-
-    def _pause(self, on: bool) -> None:
-        self._paused = on
-
-    def _record(self, on: bool) -> None:
-        self._records = on
 
     def kept(self, _: int, views: Any) -> Any:
         """Copy the views of a frame that will be shown; None for the others."""
@@ -354,38 +348,21 @@ class View:
             )
 
 
-class Display:
-    """Shows rate and latency on a terminal while frames come."""
+@contextmanager
+def _displayed(stream: DepthStream, *, quiet: bool) -> Iterator[Callable[[], None]]:
+    """Show rate and latency on a terminal while the block runs. Yields what shows the newest, if it is time."""
+    from lfgpu.cli.console import waiting
 
-    def __init__(self, stream: DepthStream, *, quiet: bool) -> None:
-        from rich.console import Console
-        from rich.live import Live
+    due = time.monotonic()
 
-        console = Console(stderr=True, highlight=False, markup=False)
-        self._stream, self._next = stream, 0.0
-        self._live = None
-        if console.is_terminal and not quiet:
-            self._live = Live(console=console, auto_refresh=False, transient=True)
+    def look() -> None:
+        nonlocal due
+        if time.monotonic() >= due:
+            due = time.monotonic() + _REFRESH
+            say("\n".join(f"{label:<10}{text}" for label, text in facts(stream.stats())))
 
-    def __enter__(self) -> Display:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def look(self, _: StreamResult | None) -> None:
-        """Update the display, unless that was done a moment ago."""
-        now = time.monotonic()
-        if self._live is None or now < self._next:
-            return
-        from rich.text import Text
-
-        self._next = now + _REFRESH
-        lines = (f"{label:<10}{text}" for label, text in facts(self._stream.stats()))
-        self._live.update(Text("\n".join(lines)), refresh=True)
+    with waiting("waiting for the first map", quiet=quiet) as say:
+        yield look
 
 
 def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
@@ -423,14 +400,6 @@ def _terminated_as_by_ctrl_c() -> Iterator[None]:
 
 def _say(sentence: str) -> None:
     typer.echo(sentence, err=True)
-
-
-def _all(*functions: Callable[[StreamResult], None]) -> Callable[[StreamResult], None]:
-    def call(result: StreamResult) -> None:
-        for function in functions:
-            function(result)
-
-    return call
 
 
 def _show(stream: DepthStream, stats: dict[str, Any], record: Record, recording: Path | None) -> None:
