@@ -16,36 +16,55 @@ from typing import TYPE_CHECKING, Any
 from lfgpu.data import hooks as _hooks
 
 if TYPE_CHECKING:
-    from lfgpu._backends import BackendInfo, describe_backends, list_backends
-    from lfgpu.cameras import Explanation, Reason, explain, reasons
-    from lfgpu.config import Config
-    from lfgpu.data.filling import fill_unknown
-    from lfgpu.data.geometry import Geometry
-    from lfgpu.data.lightfield import GroundTruth, LightField
-    from lfgpu.data.points import PointCloud, point_cloud
-    from lfgpu.data.result import DepthResult, DisparityMap
-    from lfgpu.data.views_result import ViewsResult
-    from lfgpu.errors import BackendError, LfgpuError, LightFieldError
-    from lfgpu.io import load, read, save
-    from lfgpu.io.labelled import to_xarray
-    from lfgpu.methods import PRESETS
-    from lfgpu.methods.temporal_prior import TemporalPrior
-    from lfgpu.metrics import evaluate
-    from lfgpu.pipelines.all_views import estimate_all_views
-    from lfgpu.pipelines.estimate import estimate_depth
-    from lfgpu.pipelines.export import export_pipeline
-    from lfgpu.pipelines.grouper import FrameGroup, FrameGrouper
-    from lfgpu.pipelines.pipeline import DepthPipeline
-    from lfgpu.pipelines.rectifier import Rectifier
-    from lfgpu.pipelines.resident import kept_memory, set_kept_memory
-    from lfgpu.pipelines.stream import DepthStream
-    from lfgpu.pipelines.stream_result import FrameDroppedError, StreamResult
-    from lfgpu.pipelines.verdict import judged
-    from lfgpu.reports.report import write_report
-    from lfgpu.threads import get_threads, set_threads
-    from lfgpu.viewer import Viewer
-    from lfgpu.viz.refocusing import all_in_focus, refocus
-    from lfgpu.viz.rendering import RenderedView, Renderer, render_view
+    from lfgpu._backends import BackendInfo as BackendInfo
+    from lfgpu._backends import describe_backends as describe_backends
+    from lfgpu._backends import list_backends as list_backends
+    from lfgpu.cameras import Explanation as Explanation
+    from lfgpu.cameras import Reason as Reason
+    from lfgpu.cameras import explain as explain
+    from lfgpu.cameras import reasons as reasons
+    from lfgpu.config import Config as Config
+    from lfgpu.data.filling import fill_unknown as fill_unknown
+    from lfgpu.data.geometry import Geometry as Geometry
+    from lfgpu.data.lightfield import GroundTruth as GroundTruth
+    from lfgpu.data.lightfield import LightField as LightField
+    from lfgpu.data.points import PointCloud as PointCloud
+    from lfgpu.data.points import point_cloud as point_cloud
+    from lfgpu.data.result import DepthResult as DepthResult
+    from lfgpu.data.result import DisparityMap as DisparityMap
+    from lfgpu.data.views_result import ViewsResult as ViewsResult
+    from lfgpu.errors import BackendError as BackendError
+    from lfgpu.errors import LfgpuError as LfgpuError
+    from lfgpu.errors import LightFieldError as LightFieldError
+    from lfgpu.io import load as load
+    from lfgpu.io import read as read
+    from lfgpu.io import save as save
+    from lfgpu.io.labelled import to_xarray as to_xarray
+    from lfgpu.methods import PRESETS as PRESETS
+    from lfgpu.methods.temporal_prior import TemporalPrior as TemporalPrior
+    from lfgpu.metrics import evaluate as evaluate
+    from lfgpu.pipelines.all_views import estimate_all_views as estimate_all_views
+    from lfgpu.pipelines.estimate import estimate_depth as estimate_depth
+    from lfgpu.pipelines.export import export_pipeline as export_pipeline
+    from lfgpu.pipelines.grouper import FrameGroup as FrameGroup
+    from lfgpu.pipelines.grouper import FrameGrouper as FrameGrouper
+    from lfgpu.pipelines.pipeline import DepthPipeline as DepthPipeline
+    from lfgpu.pipelines.rectifier import Rectifier as Rectifier
+    from lfgpu.pipelines.resident import kept_memory as kept_memory
+    from lfgpu.pipelines.resident import set_kept_memory as set_kept_memory
+    from lfgpu.pipelines.stream import DepthStream as DepthStream
+    from lfgpu.pipelines.stream_result import FrameDroppedError as FrameDroppedError
+    from lfgpu.pipelines.stream_result import StreamResult as StreamResult
+    from lfgpu.pipelines.verdict import judged as judged
+    from lfgpu.reports.report import write_report as write_report
+    from lfgpu.threads import get_threads as get_threads
+    from lfgpu.threads import set_threads as set_threads
+    from lfgpu.viewer import Viewer as Viewer
+    from lfgpu.viz.refocusing import all_in_focus as all_in_focus
+    from lfgpu.viz.refocusing import refocus as refocus
+    from lfgpu.viz.rendering import RenderedView as RenderedView
+    from lfgpu.viz.rendering import Renderer as Renderer
+    from lfgpu.viz.rendering import render_view as render_view
 
     __version__: str
     """The version of the package that is installed."""
@@ -85,60 +104,8 @@ _NAMES = {
 """Modules, and what `lfgpu` has from each."""
 _HOMES = {name: home for home, names in _NAMES.items() for name in names}
 
-__all__ = [
-    "PRESETS",
-    "BackendError",
-    "BackendInfo",
-    "Config",
-    "DepthPipeline",
-    "DepthResult",
-    "DepthStream",
-    "DisparityMap",
-    "Explanation",
-    "FrameDroppedError",
-    "FrameGroup",
-    "FrameGrouper",
-    "Geometry",
-    "GroundTruth",
-    "LfgpuError",
-    "LightField",
-    "LightFieldError",
-    "PointCloud",
-    "Reason",
-    "Rectifier",
-    "RenderedView",
-    "Renderer",
-    "StreamResult",
-    "TemporalPrior",
-    "Viewer",
-    "ViewsResult",
-    "all_in_focus",
-    "describe_backends",
-    "estimate_all_views",
-    "estimate_depth",
-    "evaluate",
-    "explain",
-    "export_pipeline",
-    "fill_unknown",
-    "get_threads",
-    "judged",
-    "kept_memory",
-    "list_backends",
-    "load",
-    "point_cloud",
-    "read",
-    "reasons",
-    "refocus",
-    "render_view",
-    "save",
-    "set_kept_memory",
-    "set_threads",
-    "to_xarray",
-    "write_report",
-]
-
-
 if not TYPE_CHECKING:  # or every misspelt name would be Any
+    __all__ = sorted(_HOMES)
 
     def __getattr__(name: str) -> Any:
         if name == "__version__":
@@ -160,4 +127,4 @@ _hooks.html = _later("lfgpu.reports.notebook", "html")
 
 
 def __dir__() -> list[str]:
-    return sorted(__all__)
+    return sorted(_HOMES)
