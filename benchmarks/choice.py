@@ -26,7 +26,7 @@ def command(
     """Generate light fields, match them twice, and train the choice between the two maps (needs PyTorch)."""
     if find_spec("torch") is None:
         raise BenchmarkError("training needs PyTorch, which is not installed; install lfgpu[train].")
-    from lfgpu.training.choice import draw, train_choice
+    from benchmarks.choosing import draw, train_choice
     from lfgpu.training.weights import write_weights
 
     began, place = time.monotonic(), open_device(DEFAULT, device).name

@@ -277,8 +277,8 @@ def test_the_surest_map_is_chosen_from_both(scene: LightField, found: DepthResul
 
 def test_decisions_are_those_of_pytorch(rng: np.random.Generator) -> None:
     torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install lfgpu[train]")
+    from benchmarks.choosing import chosen
     from lfgpu.training import network as trained
-    from lfgpu.training.choice import chosen
     from lfgpu.training.weights import fold
 
     torch.manual_seed(int(rng.integers(2**31)))

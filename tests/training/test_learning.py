@@ -15,7 +15,7 @@ from lfgpu.methods.matching.learned import BUILT_IN, read_weights, weights_file
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install lfgpu[train]")
 
-from lfgpu.training.choice import chosen, draw, loss_of, train_choice  # noqa: E402
+from benchmarks.choosing import chosen, draw, loss_of, train_choice  # noqa: E402
 from lfgpu.training.generator import Batch, Generator  # noqa: E402
 from lfgpu.training.network import MULTIPLE, Network, estimate, peak  # noqa: E402
 from lfgpu.training.rig import measured_rig  # noqa: E402

@@ -1,7 +1,7 @@
 """The choice between two maps of a table of sweeps: that of the sweeps, and that of a network.
 
 Neither knows of the other, and they fail at different places. A second, small network, which looks at both maps and
-what they say of themselves, tells which to believe, and how likely the result is right. `lfgpu/training/choice.py`
+what they say of themselves, tells which to believe, and how likely the result is right. `benchmarks/choosing.py`
 trains it.
 """
 
