@@ -259,12 +259,11 @@ def test_every_pixel_is_in_a_tile_beyond_its_halo(size: tuple[int, int], edge: t
     plan = tiles.plan_tiles(size, edge, Footprint(1 / 1.1, 0), limit)
     assert plan.size[0] * plan.size[1] <= limit + 1
     total = np.zeros(size)
-    weights = tiles._Weights(size, plan)
     for top, left in plan.starts:
         assert 0 <= top <= size[0] - plan.size[0]
         assert 0 <= left <= size[1] - plan.size[1]
         assert top % REDUCTION == left % REDUCTION == 0  # so that reduced views are those of the whole
-        total[top : top + plan.size[0], left : left + plan.size[1]] += weights.of((top, left))
+        total[top : top + plan.size[0], left : left + plan.size[1]] += tiles._weights(size, plan, (top, left))
     assert total.min() > 0
 
 

@@ -142,46 +142,36 @@ def _estimate_all(
     on_progress: Progress | None,
 ) -> list[DepthResult | None]:
     """Estimate each tile; None if a tile has no estimate. Each device takes the next tile when it is free."""
-    used = method.used_views(lf.offsets)
-    results: list[DepthResult | None] = [None] * len(plan.starts)
-    left: queue.SimpleQueue[int] = queue.SimpleQueue()
-    for index in range(len(plan.starts)):
-        left.put(index)
+    used, count = method.used_views(lf.offsets), len(plan.starts)
+    busy = devices[:count]
+    free: queue.SimpleQueue[tuple[str, Resident]] = queue.SimpleQueue()
+    for device in busy:
+        free.put((device, Resident(most=1)))
     failed: list[LightFieldError] = []
-    done, lock, stop = 0, threading.Lock(), threading.Event()
+    ended, reporting = itertools.count(1), threading.Lock()
 
-    def go(device: str) -> None:
-        nonlocal done
-        resident = Resident(most=1)
-        while not stop.is_set():
-            try:
-                index = left.get_nowait()
-            except queue.Empty:
-                return
-            try:
-                tile = _tile(lf, used, plan.starts[index], plan.size)
-                results[index] = resident.estimate(tile, device=device, **options)
-            except LightFieldError as error:  # the tile may lack texture; an error only if all tiles fail
-                failed.append(error)
-            with lock:
-                done += 1
-                if on_progress is not None:
-                    on_progress("tiles", done, done / len(plan.starts))
+    def estimated(start: tuple[int, int]) -> DepthResult | None:
+        (device, resident), found = free.get(), None
+        try:
+            found = resident.estimate(_tile(lf, used, start, plan.size), device=device, **options)
+        except LightFieldError as error:  # the tile may lack texture; an error only if all tiles fail
+            failed.append(error)
+        finally:
+            free.put((device, resident))
+        if on_progress is not None:
+            with reporting:
+                done = next(ended)
+                on_progress("tiles", done, done / count)
+        return found
 
     if on_progress is not None:
         on_progress("tiles", 0, 0.0)
-    busy = devices[: len(plan.starts)]
     if len(busy) == 1:
-        go(busy[0])
+        results = list(map(estimated, plan.starts))
     else:
-        with ThreadPoolExecutor(len(busy)) as pool:
-            waiting = [pool.submit(go, device) for device in busy]
-            try:
-                for future in waiting:
-                    future.result()
-            finally:
-                stop.set()
-    if len(failed) == len(results):
+        with ThreadPoolExecutor(len(busy)) as pool:  # after an error no further tile is begun
+            results = list(pool.map(estimated, plan.starts))
+    if len(failed) == count:
         raise failed[0]
     return results
 
@@ -210,13 +200,12 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
     there = [result for result in results if result is not None]
     first = there[0]
     names = list(first.stages)
-    weights = _Weights(lf.size, plan)
     join = {name: _Join(lf.size, same) for name in names}
     disparity, confidence, uncertainty = _Join(lf.size, same), _Join(lf.size, math.inf), _Join(lf.size, math.inf)
     for start, result in zip(plan.starts, results, strict=True):
         if result is None:
             continue
-        weight = weights.of(start)
+        weight = _weights(lf.size, plan, start)
         taken = disparity.add(result.disparity, weight, start)
         confidence.add(result.confidence, weight, start, taken)
         if result.uncertainty is not None:
@@ -248,19 +237,16 @@ def _joined(lf: LightField, plan: Plan, results: Sequence[DepthResult | None], s
     )
 
 
-class _Weights:
-    """Weights of a tile: 0 in the halo, 1 inside, with a ramp between; 1 up to the edges of the image."""
+def _weights(size: tuple[int, int], plan: Plan, start: tuple[int, int]) -> NDArray[np.float32]:
+    """Make the weights [y, x] of the tile that begins at `start`.
 
-    def __init__(self, size: tuple[int, int], plan: Plan) -> None:
-        self._size, self._plan = size, plan
-
-    def of(self, start: tuple[int, int]) -> NDArray[np.float32]:
-        """Make the weights [y, x] of the tile that begins at `start`."""
-        rows, columns = (
-            _ramps(first, side, length, edge)
-            for first, side, length, edge in zip(start, self._plan.size, self._size, self._plan.halo, strict=True)
-        )
-        return np.outer(rows, columns).astype(np.float32)
+    They are 0 in the halo, 1 inside, with a ramp between; 1 up to the edges of the image.
+    """
+    rows, columns = (
+        _ramps(first, side, length, edge)
+        for first, side, length, edge in zip(start, plan.size, size, plan.halo, strict=True)
+    )
+    return np.outer(rows, columns).astype(np.float32)
 
 
 class _Join:
