@@ -150,21 +150,16 @@ class Contents:
             )
         return replace(self, entries={**self.entries, name: entry})
 
-    def map(self, name: str, kind: str, stage: str = FINAL) -> NDArray[np.float32] | None:
-        """Return a map of one of the `QUANTITIES`; None if there is none."""
+    def map(self, name: str, kind: str, stage: str = FINAL, where: Any = ...) -> NDArray[np.float32] | None:
+        """Return a map of one of the `QUANTITIES`, or what `where` chooses of it; None if there is none."""
         entry = self.all_entries().get(name)
-        if entry is None:
+        if entry is None or kind not in self.kinds(name):
             return None
-        match kind:
-            case "confidence":
-                return entry.confidence
-            case "uncertainty":
-                return entry.map.uncertainty
-            case "depth":
-                return None if self.geometry is None else self.geometry.depth(entry.stage(stage)).astype(np.float32)
-            case "error":
-                return entry.stage(stage) - self.truth if self.is_scored(name) and self.truth is not None else None
-        return entry.stage(stage)
+        known = {"confidence": entry.confidence, "uncertainty": entry.map.uncertainty}.get(kind)
+        values = (entry.stage(stage) if known is None else known)[where]
+        if kind == "depth" and self.geometry is not None:
+            return self.geometry.depth(values).astype(np.float32)
+        return values - self.truth[where] if kind == "error" and self.truth is not None else values
 
     def kinds(self, name: str) -> tuple[str, ...]:
         """Return the quantities that a map has."""

@@ -20,10 +20,9 @@ from lfgpu.data.summary import are_counted
 from lfgpu.io import MAP_FORMATS
 from lfgpu.methods import METHODS, PRESETS, nearest_preset
 from lfgpu.metrics import Metrics
-from lfgpu.viewer.board import Board, Stream
+from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import LIVE, QUANTITIES, TRUTH, Contents, Entry
 from lfgpu.viewer.pictures import wire_type
-from lfgpu.viewer.solving import Progress
 from lfgpu.viz.colours import shades
 
 COLOURS = ("viridis", "cividis", "magma", "turbo", "gray", "RdBu_r", "viridis_r")
@@ -98,19 +97,10 @@ class Facts:
 
 def still(contents: Contents) -> dict[str, Any]:
     """Return the state of contents that do not change, as `Facts.now` does, without stages and estimates."""
-    found = _facts(contents)
-    found["results"] = [{**result, "stages": []} for result in found["results"]]
-    return {
-        **found,
-        "revision": 1,
-        "views": 1,
-        "scales": _scales(contents),
-        "film": None,
-        "newest": None,
-        "loading": None,
-        "progress": dataclasses.asdict(Progress()),
-        "stream": {**dataclasses.asdict(Stream()), "switches": []},
-    }
+    board = Board()
+    board.replace(contents)
+    state = Facts(board).now()
+    return {**state, "film": None, "results": [{**result, "stages": []} for result in state["results"]]}
 
 
 @cache

@@ -155,9 +155,9 @@ def values_at(contents: Contents, name: str, stage: str, x: int, y: int) -> dict
         raise LightFieldError(f"there is no pixel ({x}, {y}) in {width} x {height} pixels.")
     found: dict[str, float | None] = {}
     for kind in QUANTITIES:
-        value = _value(contents, name, kind, stage, x, y)
-        if value is not None:
-            found[kind] = value if math.isfinite(value) else None
+        values = contents.map(name, kind, stage, np.s_[y : y + 1, x : x + 1])
+        if values is not None:
+            found[kind] = float(values[0, 0]) if np.isfinite(values[0, 0]) else None
     return found
 
 
@@ -170,25 +170,6 @@ def colour_at(contents: Contents, offset: tuple[float, float], x: float, y: floa
     height, width = lf.size
     pixel = lf.views[there[0], int(np.clip(y, 0, height - 1)), int(np.clip(x, 0, width - 1))]
     return [float(value) for value in pixel]
-
-
-def _value(contents: Contents, name: str, kind: str, stage: str, x: int, y: int) -> float | None:
-    """Return one value of a map; None if it has none of this quantity."""
-    entry, geometry = contents.all_entries()[name], contents.geometry
-    disparity = float(entry.stage(stage)[y, x])
-    match kind:
-        case "disparity":
-            return disparity
-        case "depth":
-            return None if geometry is None else float(geometry.depth(disparity))
-        case "error":
-            return (
-                disparity - float(contents.truth[y, x])
-                if contents.is_scored(name) and contents.truth is not None
-                else None
-            )
-    values = contents.map(name, kind, stage)
-    return None if values is None else float(values[y, x])
 
 
 def in_reference(
