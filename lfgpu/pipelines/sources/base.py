@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -39,6 +39,16 @@ class Source:
     open: Callable[[str, Options], Frames]
     """Yields the frames of the source that a text names; LightFieldError names what is wrong."""
     is_live: bool = False  # True if frames come by themselves, so that those that come too fast are lost
+
+
+def check_sizes(names: Sequence[str], pictures: Sequence[NDArray[Any]]) -> None:
+    """Raise LightFieldError unless all cameras have pictures [y, x, c] of one size."""
+    for name, picture in zip(names, pictures, strict=True):
+        if picture.shape != pictures[0].shape:
+            raise LightFieldError(
+                f"{name} has frames of {picture.shape[1]} x {picture.shape[0]} pixels, but {names[0]} has "
+                f"{pictures[0].shape[1]} x {pictures[0].shape[0]}; all cameras must have one size."
+            )
 
 
 def light_field(name: str, views: NDArray[Any], options: Options) -> LightField:

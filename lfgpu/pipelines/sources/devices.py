@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.damage import require
-from lfgpu.pipelines.sources.base import Frames, Options, light_field
+from lfgpu.pipelines.sources.base import Frames, Options, check_sizes, light_field
 
 PREFIX = "opencv:"
 
@@ -50,7 +50,7 @@ def frames(source: str, options: Options) -> Frames:
                     options.say("Waiting until all cameras have a picture.")
                     continue
                 shape = known[0].shape
-                _check_sizes(source, names, known)
+                check_sizes([f"{name!r} of {source}" for name in names], known)
                 yield light_field(source, np.stack(known), options)
                 continue
             valid = np.array([picture is not None and picture.shape == shape for picture in pictures])
@@ -65,12 +65,3 @@ def _retrieved(cv2: Any, device: Any) -> NDArray[np.uint8] | None:
     if not decoded:
         return None
     return picture[..., None] if picture.ndim == 2 else np.asarray(cv2.cvtColor(picture, cv2.COLOR_BGR2RGB))
-
-
-def _check_sizes(source: str, names: list[str], pictures: list[NDArray[np.uint8]]) -> None:
-    for name, picture in zip(names, pictures, strict=True):
-        if picture.shape != pictures[0].shape:
-            raise LightFieldError(
-                f"{name!r} of {source} has pictures of {picture.shape[1]} x {picture.shape[0]} pixels, but "
-                f"{names[0]!r} has {pictures[0].shape[1]} x {pictures[0].shape[0]}; all cameras must have one size."
-            )

@@ -13,7 +13,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import video
 from lfgpu.io.folders import entries, natural_order
-from lfgpu.pipelines.sources.base import Frames, Options, light_field
+from lfgpu.pipelines.sources.base import Frames, Options, check_sizes, light_field
 
 
 def recognise(source: str) -> bool:
@@ -51,12 +51,7 @@ def frames_of_cameras(source: str, options: Options) -> Frames:
     with ExitStack() as opened:
         films = [opened.enter_context(closing(video.frames(path))) for path in paths]
         for index, pictures in enumerate(zip(*films, strict=False)):
-            for path, picture in zip(paths, pictures, strict=True):
-                if picture.shape != pictures[0].shape:
-                    raise LightFieldError(
-                        f"{path} has frames of {picture.shape[1]} x {picture.shape[0]} pixels, but {paths[0]} has "
-                        f"{pictures[0].shape[1]} x {pictures[0].shape[0]}; all cameras must have one size."
-                    )
+            check_sizes([str(path) for path in paths], pictures)
             yield _first(source, np.stack(pictures), index, options)
 
 
