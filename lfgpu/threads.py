@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from lfgpu.errors import LfgpuError
 
@@ -63,6 +64,19 @@ def alone_here() -> Iterator[None]:
         yield
     finally:
         _here.alone = False
+
+
+@contextmanager
+def on_signal(number: int, handler: Callable[[int, Any], object]) -> Iterator[None]:
+    """Call `handler` on a signal while the block runs; only the main thread may change that, others do not."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, before)
 
 
 def get_threads() -> int:

@@ -25,7 +25,7 @@ from lfgpu.batch.manifest import FAILED
 from lfgpu.batch.work import Job, OutOfMemory, work
 from lfgpu.errors import LfgpuError
 from lfgpu.io.damage import how_to_install
-from lfgpu.threads import set_threads
+from lfgpu.threads import on_signal, set_threads
 
 ITEM_TIMEOUT = 7200.0
 """Seconds that an item may take by default: ten times as long as large ones take on two cores."""
@@ -376,18 +376,14 @@ class Cluster:
 @contextmanager
 def _ctrl_c_waits() -> Iterator[None]:
     """Raise Ctrl-C at the end of this block; the processes that are started in it ignore it."""
-    if threading.current_thread() is not threading.main_thread():  # only the main thread may change signal handlers
-        yield
-        return
     mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has none
     pressed: list[int] = []
-    before = signal.signal(signal.SIGINT, lambda sign, _: pressed.append(sign))
-    mask(signal.SIG_BLOCK, {signal.SIGINT})  # of this thread; new threads and their processes inherit it
-    try:
-        yield
-    finally:
-        mask(signal.SIG_UNBLOCK, {signal.SIGINT})
-        signal.signal(signal.SIGINT, before)
+    with on_signal(signal.SIGINT, lambda sign, _: pressed.append(sign)):
+        mask(signal.SIG_BLOCK, {signal.SIGINT})  # of this thread; new threads and their processes inherit it
+        try:
+            yield
+        finally:
+            mask(signal.SIG_UNBLOCK, {signal.SIGINT})
     if pressed:
         raise KeyboardInterrupt
 

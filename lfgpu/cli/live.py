@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import math
 import signal
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import typer
 from lfgpu.cli import values
 from lfgpu.cli.options import Cold, Device, Parameters, Quiet, Threads
 from lfgpu.errors import LfgpuError, LightFieldError
+from lfgpu.threads import on_signal
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -190,7 +190,7 @@ def live(
         if recording is not None:
             coming = recorded(coming, first, recording, wanted=lambda: page.records)
         watch = nullcontext() if rectifier is None else calibration.RigWatch(stream, on_finding=record.moved)
-        with _terminated_as_by_ctrl_c(), watch, _displayed(stream, quiet=quiet) as look:
+        with on_signal(signal.SIGTERM, signal.default_int_handler), watch, _displayed(stream, quiet=quiet) as look:
             try:
                 feed(
                     stream,
@@ -383,19 +383,6 @@ def facts(stats: dict[str, Any]) -> list[tuple[str, str]]:
             ("work", f"{times('work')} ms of the device"),
         ]
     return lines
-
-
-@contextmanager
-def _terminated_as_by_ctrl_c() -> Iterator[None]:
-    """Turn SIGTERM, by which services are stopped, into a KeyboardInterrupt in this block of the main thread."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def _say(sentence: str) -> None:

@@ -16,6 +16,7 @@ import torch.distributed as dist
 
 from lfgpu.io import atomic_write
 from lfgpu.methods.matching.unet import Weights
+from lfgpu.threads import on_signal
 from lfgpu.training.rig import Rig
 from lfgpu.training.train import Settings, Trainer, Validation
 from lfgpu.training.weights import write_weights
@@ -73,7 +74,7 @@ def run(
             process.start()
         with _together(devices[0], 0, len(devices), meeting):
             trainer = Trainer(settings, folder, devices[0], **several)
-            with _stopped_by_ctrl_c(trainer):
+            with on_signal(signal.SIGINT, lambda *_: setattr(trainer, "stopped", True)):  # after a whole step
                 trainer.run(seconds, on_step)
         for process in others:
             process.join()
@@ -109,17 +110,3 @@ def _together(device: str, rank: int, world: int, meeting: str) -> Iterator[None
         yield
     finally:
         dist.destroy_process_group()
-
-
-@contextmanager
-def _stopped_by_ctrl_c(trainer: Trainer) -> Iterator[None]:
-    """Let Ctrl-C end the piece after a whole step."""
-
-    def stop(*_: object) -> None:
-        trainer.stopped = True
-
-    before = signal.signal(signal.SIGINT, stop)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
