@@ -1,5 +1,7 @@
 """Comparisons of several methods on several scenes: scores and tables."""
 
+import csv
+import io
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -105,11 +107,12 @@ class Table:
 
     def csv(self) -> str:
         """Write the table as CSV, with all digits."""
-        lines = [",".join(["scene", "method", *COLUMNS])]
+        text = io.StringIO()
+        write = csv.writer(text, lineterminator="\n").writerow
+        write(["scene", "method", *COLUMNS])
         for row in self.rows:
-            values = ["" if math.isnan(value) else repr(value) for value in row.values]
-            lines.append(",".join([_quoted(row.scene), _quoted(row.method), *values]))
-        return "\n".join(lines) + "\n"
+            write([row.scene, row.method, *("" if math.isnan(value) else repr(value) for value in row.values)])
+        return text.getvalue()
 
 
 def table(scenes: Sequence[Scene]) -> Table:
@@ -161,7 +164,3 @@ def _piped(cells: Sequence[str]) -> str:
 
 def _escaped(text: str) -> str:
     return "".join(f"\\{c}" if c in "_&%#$" else c for c in text)
-
-
-def _quoted(text: str) -> str:
-    return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
