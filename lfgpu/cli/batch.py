@@ -104,7 +104,7 @@ def batch(
     check_writable(out)
     how = Settings(
         config=parameters.config(),
-        disparity_range=values.parse_disparity_range(computing.disparity_range),
+        disparity_range=values.parse_range("--disparity-range", computing.disparity_range),
         place=chosen.place(),
         pattern=chosen.pattern,
         reading=reading.options(),
@@ -191,7 +191,7 @@ def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> 
     from lfgpu.batch.manifest import DONE
     from lfgpu.batch.report import facts
     from lfgpu.cli import console as shown
-    from lfgpu.cli.summary import show_next
+    from lfgpu.cli.summary import show_next, show_outputs
     from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE
 
     shown.heading(console, out.resolve().name)
@@ -200,9 +200,9 @@ def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> 
         more = f" and {len(barren) - _NAMED} more" if len(barren) > _NAMED else ""
         shown.lines(console, [("no light field in", ", ".join(map(str, barren[:_NAMED])) + more)])
     files = DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE, ERROR_FILE
-    shown.heading(console, f"Written to {out}")
-    shown.lines(
+    show_outputs(
         console,
+        out,
         [
             ("ITEM/", f"{', '.join(files)}, with --report {REPORT_FILE}"),
             (MANIFEST_FILE, "status, parameters, time and scores of each item"),

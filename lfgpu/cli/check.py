@@ -42,7 +42,7 @@ def check(
     from lfgpu.cli.console import output
     from lfgpu.io import load, one_map, read
 
-    place = values.parse_reference_view(reference_view)
+    place = values.parse_place("--reference-view", reference_view)
     options = reading.options()
     estimation = computing.estimation(values.configured("fast", ()))
     lf = read(source, **options)

@@ -37,7 +37,7 @@ def convert(
 
     check_writable(out, folder=False)
     writable_format(out)
-    place = None if view is None else values.parse_place("--view", view)
+    place = values.parse_place("--view", view)
     whole = load(result)
     if place is not None and not isinstance(whole, ViewsResult):
         raise LightFieldError(

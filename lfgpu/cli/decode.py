@@ -34,6 +34,7 @@ def decode(
 ) -> None:
     """Make views of a raw capture of a lenslet camera: 16-bit PNG files that all commands read, and the grid found."""
     from lfgpu.cli.console import heading, lines, output, waiting
+    from lfgpu.cli.summary import show_outputs
     from lfgpu.io import check_writable
     from lfgpu.io.formats import check_exists
     from lfgpu.io.lenslet.decode import decode as decode_capture
@@ -61,9 +62,9 @@ def decode(
             *(("note", note) for note in lf.notes),
         ],
     )
-    heading(console, f"Written to {out}")
-    lines(
+    show_outputs(
         console,
+        out,
         [
             ("view_row_col.png", "views: 16 bits, square roots of linear values"),
             (ABOUT_FILE, "grid of microlenses, colours and value range"),

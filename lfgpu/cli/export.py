@@ -49,7 +49,7 @@ def export(
 
     check_writable(out)
     config = parameters.config()
-    bounds = values.parse_disparity_range(disparity_range)
+    bounds = values.parse_range("--disparity-range", disparity_range)
     options = reading.options()
     prior = None if cold else TemporalPrior()
     lf = read(source, **options)

@@ -150,12 +150,12 @@ def live(
     if like is not None and rectify is not None:
         raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
     config = parameters.config()
-    bounds = None if disparity_range is None else values.parse_range("--disparity-range", disparity_range)
-    chosen = None if policy is None else values.parse_policy("--policy", policy)
+    bounds = values.parse_range("--disparity-range", disparity_range)
+    chosen = values.parse_policy("--policy", policy)
     values.use_threads("--threads", threads)
     rectifier = None if rectify is None else calibration.read_rectifier(rectify)
     options = Options(
-        grid=values.parse_grid(grid),
+        grid=values.parse_size("--grid", grid, "ROWSxCOLUMNS such as 9x9"),
         like=None if like is None else read(like),
         scene={"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise},
         most=frames,

@@ -178,7 +178,7 @@ class Reading:
         """Return the options that were given, as keywords of `lfgpu.read`; LightFieldError if --grid is no pair."""
         found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         found |= {"format": found.pop("format_name"), "pattern": found.pop("names")}
-        found["grid"] = values.parse_grid(self.grid)
+        found["grid"] = values.parse_size("--grid", self.grid, "ROWSxCOLUMNS such as 9x9")
         return {name: value for name, value in found.items() if value not in (None, "", False)}
 
     def words(self) -> list[str]:
@@ -208,7 +208,7 @@ class Views:
     def place(self) -> tuple[float, float] | None:
         """Return (row, column) of the reference view, None if it was not given, and check the pattern."""
         values.check_pattern("--views", self.pattern)
-        return values.parse_reference_view(self.reference_view)
+        return values.parse_place("--reference-view", self.reference_view)
 
     def of(self, lf: LightField) -> LightField:
         """Return the light field with this reference view, and with these views only."""
@@ -266,7 +266,7 @@ class Computing:
 
         LfgpuError if an option is wrong or, with `check`, if the backend or the device is missing.
         """
-        bounds = values.parse_disparity_range(self.disparity_range)
+        bounds = values.parse_range("--disparity-range", self.disparity_range)
         found = Estimation(config, bounds, backend_named(self.backend), self.device, **more)
         values.use_threads("--threads", self.threads)
         if check:

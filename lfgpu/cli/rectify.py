@@ -87,7 +87,7 @@ def rectify(
         model=model if refine else None,
         positions=positions,
         tones=equalise,
-        depths=None if depths is None else values.parse_range("--depths", depths),
+        depths=values.parse_range("--depths", depths),
         disparity_range=estimation.disparity_range,
         backend=estimation.backend,
         device=estimation.device,

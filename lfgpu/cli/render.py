@@ -77,8 +77,8 @@ def render(
         raise LightFieldError(f"--sweep must be one of {', '.join(_SWEEPS)}, not {sweep!r}.")
     (check_image_path if sweep is None else check_frames_path)(out)
     check_writable(out, folder=not out.suffix)
-    place = None if view is None else values.parse_place("--view", view)
-    reference = values.parse_reference_view(reference_view)
+    place = values.parse_place("--view", view)
+    reference = values.parse_place("--reference-view", reference_view)
     options = reading.options()
     estimation = computing.estimation(method_of(preset).for_rendering)
 

@@ -1,4 +1,4 @@
-"""Values of options from text: pairs of numbers, policies and settings."""
+"""Values of options from text: pairs of numbers, policies and settings; None for an option that was not given."""
 
 from __future__ import annotations
 
@@ -14,49 +14,42 @@ if TYPE_CHECKING:
     from lfgpu.config import Config
 
 
-def parse_range(option: str, text: str) -> tuple[float, float]:
+def parse_range(option: str, text: str | None) -> tuple[float, float] | None:
     """Parse (low, high) from text such as "-2,2"; LightFieldError unless both are finite and low < high."""
+    if text is None:
+        return None
     low, high = numbers(option, text, ",", "LOW,HIGH such as -2,2")
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
         raise LightFieldError(f"{option} must be two finite numbers LOW,HIGH with LOW below HIGH, not {text!r}.")
     return low, high
 
 
-def parse_place(option: str, text: str) -> tuple[float, float]:
+def parse_place(option: str, text: str | None) -> tuple[float, float] | None:
     """Parse (row, column) from text such as "4,4"; LightFieldError unless both are finite. The view need not exist."""
+    if text is None:
+        return None
     row, column = numbers(option, text, ",", "ROW,COL such as 4,4")
     if not (math.isfinite(row) and math.isfinite(column)):
         raise LightFieldError(f"{option} must be two finite numbers ROW,COL, not {text!r}.")
     return row, column
 
 
-def parse_size(option: str, text: str, what: str) -> tuple[int, int]:
+def parse_size(option: str, text: str | None, what: str) -> tuple[int, int] | None:
     """Parse two integers from text such as "9x9"; otherwise LightFieldError: "OPTION must be `what`"."""
+    if text is None:
+        return None
     first, second = numbers(option, text.lower(), "x", what)
     if not (first.is_integer() and second.is_integer()):
         raise LightFieldError(f"{option} must be {what}, not {text!r}.")
     return int(first), int(second)
 
 
-def parse_disparity_range(text: str | None) -> tuple[float, float] | None:
-    """Parse (low, high) from the text of --disparity-range, such as "-2,2"; None if it was not given."""
-    return None if text is None else parse_range("--disparity-range", text)
-
-
-def parse_reference_view(text: str | None) -> tuple[float, float] | None:
-    """Parse (row, column) from the text of --reference-view, such as "4,4"; None if it was not given."""
-    return None if text is None else parse_place("--reference-view", text)
-
-
-def parse_grid(text: str | None) -> tuple[int, int] | None:
-    """Parse (rows, columns) from the text of --grid, such as "9x9"; None if it was not given."""
-    return None if text is None else parse_size("--grid", text, "ROWSxCOLUMNS such as 9x9")
-
-
-def parse_policy(option: str, text: str) -> tuple[str, int | None]:
+def parse_policy(option: str, text: str | None) -> tuple[str, int | None] | None:
     """Parse a policy from text: "latest", "block" or "queue:8" as (name, number of waiting frames or None)."""
     from lfgpu.pipelines.inbox import POLICIES
 
+    if text is None:
+        return None
     name, colon, count = text.partition(":")
     if name not in POLICIES or (colon and not count.isdecimal()):
         raise LightFieldError(f"{option} must be latest, block or queue:N such as queue:8, not {text!r}.")
