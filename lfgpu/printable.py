@@ -13,25 +13,16 @@ def printable(text: str, *, keep: str = "", longest: int | None = None) -> str:
     beyond 16 bits (bytes of a name that are not UTF-8) cannot be encoded. Accents, other scripts and emoji stay. The
     middle of a text with more than `longest` characters becomes an ellipsis.
     """
+    if longest is not None:
+        text = _shortened(text, longest)  # before what nobody sees of a long text is written out
     kept = keep + _JOINERS
-    if longest is None or len(text) <= longest:
-        written = text if text.isprintable() else "".join(_seen(c, kept) for c in text)
-        if longest is None or len(written) <= longest:
-            return written
+    written = text if text.isprintable() else "".join(_seen(c, kept) for c in text)
+    return written if longest is None else _shortened(written, longest)
+
+
+def _shortened(text: str, longest: int) -> str:
     half = (longest - 3) // 2
-    return f"{_beginning(text, half, kept)} … {_beginning(text[::-1], half, kept, backwards=True)}"
-
-
-def _beginning(text: str, most: int, kept: str, *, backwards: bool = False) -> str:
-    """Return the characters of a text, from its start, that are at most so many when they are written out."""
-    pieces: list[str] = []
-    for c in text:
-        piece = _seen(c, kept)
-        most -= len(piece)
-        if most < 0:
-            break
-        pieces.append(piece)
-    return "".join(pieces[::-1] if backwards else pieces)
+    return text if len(text) <= longest else f"{text[:half]} … {text[-half:]}"
 
 
 def _seen(character: str, kept: str) -> str:
