@@ -12,7 +12,7 @@ from stream_runs import FRAMES, LONG, alone, frames, held, made
 import lfgpu
 from lfgpu import scenes
 from lfgpu.pipelines.intake import Intake
-from lfgpu.pipelines.range_watch import RangeWatch
+from lfgpu.pipelines.watches import RangeWatch
 from lfgpu.threads import get_threads, limited_threads
 
 
@@ -238,7 +238,7 @@ def test_a_search_for_the_range_keeps_to_its_thread(monkeypatch: pytest.MonkeyPa
             seen.append(other.submit(get_threads).result())
         return -2.0, 2.0
 
-    monkeypatch.setattr("lfgpu.pipelines.range_watch.find_disparity_range", found)
+    monkeypatch.setattr("lfgpu.pipelines.watches.find_disparity_range", found)
     with limited_threads(3):
         RangeWatch((-2.0, 2.0)).search(frames()[0], "the first views")
         assert seen == [1, 3]

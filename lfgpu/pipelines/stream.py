@@ -28,15 +28,13 @@ from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines import stream_stats
-from lfgpu.pipelines.first_errors import FirstErrors
 from lfgpu.pipelines.inbox import Inbox, most_waiting
 from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.pipeline import measured_on
-from lfgpu.pipelines.range_watch import RangeWatch
 from lfgpu.pipelines.rectifier import Rectifier
-from lfgpu.pipelines.stamps import StampWatch, checked_stamps
 from lfgpu.pipelines.stream_engine import Engine, Level, fault
 from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
+from lfgpu.pipelines.watches import FirstErrors, RangeWatch, StampWatch, checked_stamps
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
 CUT = 0.5

@@ -46,9 +46,8 @@ class Counters:
 
     def done(self, latency: float, work: float, *names: str) -> None:
         """Record a result: its latency since `push` and its device time, in seconds, and further counters."""
+        self.add("frames_done", *names)
         with self._lock:
-            for name in ("frames_done", *names):
-                self._counts[name] += 1
             self._latencies.append(latency)
             self._work.append(work)
             self._ends.append(perf_counter())

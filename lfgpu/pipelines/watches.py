@@ -1,23 +1,21 @@
-"""Watch over the disparity range of a stream: frames may show surfaces beyond it.
-
-Maps are clamped to the range, so surfaces beyond it often lie exactly at one of its ends. But surfaces without texture
-may lie there by chance, and those with texture may take any other disparity. So the ends of the maps only raise a
-suspicion; the views decide, by the range that is found in them.
-"""
+"""Watches over a stream: its disparity range, time stamps of cameras that do not record together, and its errors."""
 
 from __future__ import annotations
 
 import logging
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from time import monotonic
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, open_device
-from lfgpu.contract import Float32Array
+from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
-from lfgpu.pipelines.first_errors import FirstErrors
 from lfgpu.pipelines.stream_result import StreamResult
 from lfgpu.pipelines.verdict import at_ends
 from lfgpu.threads import alone_here
@@ -30,7 +28,12 @@ _LOG = logging.getLogger(__name__)
 
 
 class RangeWatch:
-    """Watch over the maps of a stream; it says once for each end that the range, found or given, is too small."""
+    """Watch over the disparity range of a stream; it says once for each end that it is too small, found or given.
+
+    Maps are clamped to the range, so surfaces beyond it often lie exactly at one of its ends. But surfaces without
+    texture may lie there by chance, and those with texture may take any other disparity. So the ends of the maps only
+    raise a suspicion; the views decide, by the range that is found in them.
+    """
 
     def __init__(self, bounds: tuple[float, float], first: LightField | None = None) -> None:
         self._bounds, self._first = bounds, first
@@ -117,3 +120,66 @@ class RangeWatch:
             f"The disparity range from {low:.3g} to {high:.3g} px per view step is too small for the frames: {what} "
             f"show about {found[0]:.3g} to {found[1]:.3g}{part}; move the {end} end further out."
         )
+
+
+def checked_stamps(stamps: Any, valid: NDArray[np.bool_]) -> Float64Array:
+    """Check the stamps of all cameras: float64 [n], NaN where a camera has no picture; else LightFieldError."""
+    try:
+        found = np.array(stamps, np.float64)
+    except (TypeError, ValueError) as error:
+        raise LightFieldError("stamps must be numbers of seconds, one for each view.") from error
+    if found.shape != valid.shape:
+        raise LightFieldError(f"stamps must be [{len(valid)}], one for each view; found {list(found.shape)}.")
+    if not np.isfinite(found[valid]).all():
+        first = int(np.flatnonzero(valid & ~np.isfinite(found))[0])
+        raise LightFieldError(
+            f"the stamp of view {first} is {found[first]}; give seconds, or set valid[{first}] to False."
+        )
+    found[~valid] = np.nan
+    return found
+
+
+class StampWatch:
+    """Watch over the stamps of a stream's frames; it says once if `used` cameras are more than the tolerance apart."""
+
+    def __init__(self, tolerance: float | None, used: Sequence[int]) -> None:
+        self._tolerance, self._used = tolerance, list(used)
+        self._said: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The sentence that was said, or nothing."""
+        return self._said
+
+    def look(self, index: int, stamps: Float64Array | None) -> tuple[bool, tuple[str, ...]]:
+        """Compare the stamps of a frame: True if they differ by too much, and the sentences that are new."""
+        if stamps is None or self._tolerance is None:
+            return False, ()
+        used = stamps[self._used]
+        spread = float(np.nanmax(used) - np.nanmin(used))
+        if spread <= self._tolerance or self._said:
+            return spread > self._tolerance, ()
+        farthest = self._used[int(np.nanargmax(np.abs(used - np.nanmedian(used))))]
+        self._said = (
+            f"The pictures of frame {index} were taken within {1000 * spread:.3g} ms, and {1000 * self._tolerance:.3g} "
+            f"are allowed; view {farthest} is farthest from the others: what moves has a wrong disparity. Trigger the "
+            "cameras together, or group their pictures with FrameGrouper.",
+        )
+        return True, self._said
+
+
+class FirstErrors:
+    """Log of exceptions with their traceback; of those from one line of code, which all frames may raise, the first."""
+
+    def __init__(self, log: logging.Logger) -> None:
+        self._log, self._known = log, set[tuple[object, ...]]()
+
+    def log(self, what: str, error: BaseException) -> None:
+        """Log an exception unless one of its kind from the same line was; `what` names the failure."""
+        place = error.__traceback__
+        while place is not None and place.tb_next is not None:
+            place = place.tb_next
+        kind = type(error), place and (place.tb_frame.f_code.co_filename, place.tb_lineno)
+        if kind not in self._known:
+            self._known.add(kind)
+            self._log.error("%s; the next ones like this are only counted", what, exc_info=error)
