@@ -11,9 +11,8 @@ import warp as wp
 
 from lfgpu.contract import Float64Array
 from lfgpu.training import casting
-from lfgpu.training.arrays import draw_array
 from lfgpu.training.rig import Rig
-from lfgpu.training.scenes import Tables, draw_scenes
+from lfgpu.training.scenes import Tables, draw_array, draw_scenes
 from lfgpu.training.sectors import order_of_sectors, warp_stream
 from lfgpu.training.textures import SIDE, draw_textures
 

@@ -7,7 +7,6 @@ import pytest
 import warp as wp
 
 from lfgpu.training import casting, scenes
-from lfgpu.training.arrays import draw_array
 from lfgpu.training.textures import draw_textures
 
 SIDE = 48
@@ -136,7 +135,7 @@ def test_scenes_are_the_same_for_the_same_seed() -> None:
 
 def test_arrays_are_scaled_to_their_farthest_view() -> None:
     for seed in range(60):
-        offsets = draw_array(np.random.default_rng(seed))
+        offsets = scenes.draw_array(np.random.default_rng(seed))
         assert len(offsets) >= 2
         assert np.abs(offsets).max() == pytest.approx(1)
         assert np.abs(offsets).max(1).min() > 0
