@@ -8,7 +8,7 @@ import secrets
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from http import HTTPStatus
 from itertools import count
 from time import monotonic
@@ -24,13 +24,16 @@ from lfgpu.viewer.board import Board
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.contents import QUANTITIES, Contents
 from lfgpu.viewer.glb import surface_glb
-from lfgpu.viewer.paths import PICTURES, Pose
 from lfgpu.viewer.place import HOST
 from lfgpu.viewer.scene import Scene
 from lfgpu.viz.colours import LOOKS, painted
 from lfgpu.viz.panels import SLOPE, encoded, rgb
 from lfgpu.viz.pictures import beside_scale
 
+PICTURES = 48
+"""Pictures of a film."""
+
+_ASIDE, _ABOVE = math.radians(20), math.radians(8)  # of an orbit: how far it goes either way
 _EXPOSURE = 30.0  # at most, either way: every stored value is white or black before
 _LIVE_CLOUD = 0.5  # seconds between two point clouds of a stream
 _ORBIT, _ORBIT_STEP = 9.0, 0.04  # seconds of an orbit, and between two of its steps
@@ -46,6 +49,39 @@ _WIDEST, _STEPS_BACK = 1.2, 12  # tangent of half the largest angle of view: the
 _UNHEARD = logging.getLogger("lfgpu.viewer.space")  # else nonsense from others is on the terminal
 _UNHEARD.setLevel(logging.CRITICAL)
 _starting = threading.Lock()  # one server at a time is guarded while it starts
+
+
+@dataclass(frozen=True)
+class Pose:
+    """An eye: its place, what it looks at, and its vertical field of view in radians. Its y axis points down."""
+
+    eye: NDArray[np.float64]
+    target: NDArray[np.float64]
+    fov: float = 1.0
+
+    @classmethod
+    def of(cls, camera: Any) -> Pose:
+        """Return the pose of a camera of viser."""
+        return cls(np.array(camera.position), np.array(camera.look_at), camera.fov)
+
+    @property
+    def away(self) -> float:
+        """The distance of what it looks at."""
+        return float(np.linalg.norm(self.target - self.eye))
+
+    @property
+    def axes(self) -> NDArray[np.float64]:
+        """[3, 3], its directions right, down and forward as columns."""
+        forward = (self.target - self.eye) / self.away
+        right = np.cross((0.0, 1.0, 0.0), forward)
+        right /= np.linalg.norm(right)
+        return np.stack([right, np.cross(forward, right), forward], axis=1)
+
+    def orbited(self, turn: float) -> Pose:
+        """Move the eye around what it looks at: to both sides in one turn, up and down twice; 0 and 1 are here."""
+        aside, down = _ASIDE * math.sin(2 * math.pi * turn), _ABOVE * math.sin(4 * math.pi * turn)
+        by = (math.cos(down) * math.sin(aside), math.sin(down), -math.cos(down) * math.cos(aside))
+        return Pose(self.target + self.away * self.axes @ by, self.target, self.fov)
 
 
 class Space:

@@ -12,7 +12,7 @@ from PIL import Image
 from lfgpu import scenes
 from lfgpu.io import load, read_map, write_hci
 from lfgpu.viewer import Viewer
-from lfgpu.viewer.paths import PICTURES, Pose
+from lfgpu.viewer.space import PICTURES, Pose
 from tests.browser import until
 from tests.viewer.page import GREY, Page
 
