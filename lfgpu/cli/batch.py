@@ -97,7 +97,7 @@ def batch(
     from lfgpu.batch.report import write_report
     from lfgpu.batch.run import Batch
     from lfgpu.batch.work import Settings
-    from lfgpu.cli.console import counting, output
+    from lfgpu.cli.console import output, waiting
     from lfgpu.cli.failures import command_line, is_interruption
     from lfgpu.io import check_writable
 
@@ -138,10 +138,10 @@ def batch(
 
     work, title = Batch(items, out, how), out.resolve().name
     try:
-        with counting(quiet=quiet) as show:
+        with waiting(quiet=quiet, counts=True) as show:
             work.run(
                 cluster,
-                on_progress=lambda now: show(now.computed + len(now.failed), now.todo, _said(now)),
+                on_progress=lambda now: show(_said(now), now.computed + len(now.failed), now.todo),
             )
     except BaseException as error:
         if not is_interruption(error):

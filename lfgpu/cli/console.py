@@ -17,9 +17,6 @@ from rich.text import Text
 from lfgpu.printable import printable
 
 if TYPE_CHECKING:
-    from rich.progress import Progress as Display
-    from rich.progress import ProgressColumn
-
     from lfgpu.comparison import Table as Compared
     from lfgpu.config import Config
     from lfgpu.methods.base import Stage
@@ -146,77 +143,55 @@ def remark(console: Console, text: str) -> None:
     _print(console, Text(text))
 
 
-def _display(*columns: str | ProgressColumn, quiet: bool = False, expand: bool = False) -> Display:
-    """Make a display on stderr that goes when it is done; it shows nothing if stderr is no terminal."""
+@contextmanager
+def waiting(text: str = "", *, quiet: bool = False, counts: bool = False) -> Iterator[Callable[..., None]]:
+    """Show on stderr what is going on and for how long while the block runs; nothing where it is no terminal.
+
+    Yields what takes another text and, where they are known, how many are done and of how many; with `counts` these
+    are shown as numbers, with the time that is left.
+    """
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        SpinnerColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
     from rich.progress import Progress as Display
 
     console = Console(stderr=True, highlight=False, markup=False)
     console.quiet = quiet or not console.is_terminal  # rich 13 ends a display that is disabled with an empty line
-    return Display(*columns, console=console, transient=True, expand=expand, disable=console.quiet)
-
-
-@contextmanager
-def waiting(text: str, *, quiet: bool = False) -> Iterator[Callable[[str], None]]:
-    """Show on stderr what is going on and for how long while the block runs; nothing where it is no terminal.
-
-    Yields what changes the text.
-    """
-    from rich.progress import SpinnerColumn, TextColumn, TimeElapsedColumn
-
-    columns = SpinnerColumn("line"), TextColumn("{task.description}", markup=False), TimeElapsedColumn()
-    with _display(*columns, quiet=quiet) as display:
-        task = display.add_task(text)
-        yield lambda now: display.update(task, description=now)
-
-
-@contextmanager
-def counting(*, quiet: bool) -> Iterator[Callable[[int, int, str], None]]:
-    """Show on stderr how many of all are done, and a text, while the block runs, if stderr is a terminal.
-
-    Yields what takes both numbers and the text.
-    """
-    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
     columns = (
+        SpinnerColumn("line"),
         BarColumn(bar_width=20),
-        MofNCompleteColumn(),
         TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-        TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, no_wrap=True)),  # what room is left
+        *((MofNCompleteColumn(), TextColumn("left"), TimeRemainingColumn()) if counts else ()),
+        TextColumn("{task.description}", markup=False, table_column=Column(ratio=1)),  # what room is left
     )
-    with _display(*columns, quiet=quiet, expand=True) as display:
-        task = display.add_task("", total=None)
-        yield lambda done, total, text: display.update(task, completed=done, total=total, description=text)
+    with Display(*columns, console=console, transient=True, expand=True, disable=console.quiet) as display:
+        task = display.add_task(text, total=None)
+
+        def show(now: str, done: int = 0, total: int | None = None) -> None:
+            display.tasks[0].total = total
+            display.update(task, description=now, completed=done)
+
+        yield show
 
 
 @contextmanager
 def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
-    """Show the stages, their iterations and values on stderr while the block runs, if stderr is a terminal."""
-    from rich.progress import BarColumn, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
-
+    """Show the stage, its iterations and their value on stderr while the block runs, if stderr is a terminal."""
     from lfgpu.methods import method_of
 
     method = method_of(config)
     stages = {stage.name: stage for stage in method.stages}
-    columns = (
-        SpinnerColumn("line"),
-        TextColumn("{task.description:<16}", markup=False),
-        BarColumn(bar_width=30),
-        TimeElapsedColumn(),
-        TextColumn("{task.fields[state]}", markup=False),
-    )
-    tasks: dict[str, TaskID] = {}
-    with _display(*columns, quiet=quiet) as display:
+    with waiting(quiet=quiet) as say:
 
         def show(stage: str, iteration: int, value: float) -> None:
-            if stage not in tasks:
-                for done in tasks.values():
-                    display.update(done, total=1, completed=1)
-                label = stages[stage].label if stage in stages else _RUNNERS[stage]
-                tasks[stage] = display.add_task(label, total=method.iterations(stage), state="")
-            state = f"iteration {iteration}, {_said(stages.get(stage), value)}" if iteration > 0 else ""
-            display.update(tasks[stage], completed=iteration, state=state)
+            label = stages[stage].label if stage in stages else _RUNNERS[stage]
+            state = f", iteration {iteration}, {_said(stages.get(stage), value)}" if iteration > 0 else ""
+            say(f"{label}{state}", iteration, method.iterations(stage))
 
         yield show
 

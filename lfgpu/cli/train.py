@@ -60,7 +60,7 @@ def train(
     with the weights of lfgpu. Nothing of the light fields themselves is learned. The weights are written after each
     piece of the run; use them with --weights. On a GPU a step takes about 0.1 s, on a CPU a minute.
     """
-    from lfgpu.cli.console import counting, heading, lines, output
+    from lfgpu.cli.console import heading, lines, output, waiting
     from lfgpu.io import check_writable, read
     from lfgpu.io.damage import require
     from lfgpu.methods.matching.learned import BUILT_IN, read_weights
@@ -98,7 +98,7 @@ def train(
         seed=seed,
     )
     folder = out.with_suffix(".training")
-    with counting(quiet=quiet) as show:
+    with waiting(quiet=quiet, counts=True) as show:
         done, found = run(
             how,
             folder,
@@ -107,7 +107,7 @@ def train(
             seconds=60 * minutes,
             rig=rig,
             start=None if rig is None else read_weights(BUILT_IN),
-            on_step=lambda step, line: show(step, how.steps, _said(line)),
+            on_step=lambda step, line: show(_said(line), step, how.steps),
         )
     if quiet:
         return
