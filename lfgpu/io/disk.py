@@ -4,7 +4,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
 from pathlib import Path
 from typing import IO, Any
@@ -15,18 +15,14 @@ from numpy.typing import NDArray
 from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io.damage import check_memory
+from lfgpu.io.reporting import within
 
 _WANTED: ContextVar[bool] = ContextVar("views stay on disk", default=False)
 
 
-@contextmanager
-def on_disk(wanted: bool) -> Iterator[None]:
+def on_disk(wanted: bool) -> AbstractContextManager[object]:
     """Have readers in this block leave views on disk, as far as they can, if that is wanted."""
-    token = _WANTED.set(wanted)
-    try:
-        yield
-    finally:
-        _WANTED.reset(token)
+    return within(_WANTED, wanted)
 
 
 def wanted_on_disk() -> bool:

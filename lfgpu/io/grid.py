@@ -1,7 +1,7 @@
 """Files at places of a grid as a light field: duplicates, holes and the centre are what can be wrong with it."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io.reporting import within
 from lfgpu.io.views import load_views
 
 Place: TypeAlias = tuple[int, int]
@@ -32,14 +33,9 @@ class Part:
 _PART: ContextVar[Part | None] = ContextVar("views that are read", default=None)
 
 
-@contextmanager
-def in_part(needed: Needed | None) -> Iterator[Part]:
+def in_part(needed: Needed | None) -> AbstractContextManager[Part]:
     """Have readers of grids in this block leave out the files of views that are not needed; None: all are needed."""
-    token = _PART.set(part := Part(needed))
-    try:
-        yield part
-    finally:
-        _PART.reset(token)
+    return within(_PART, Part(needed))
 
 
 _NAMED_HOLES = 5  # so many missing places are named in a message

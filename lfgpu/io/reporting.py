@@ -1,8 +1,11 @@
 """Progress of readers: a few words for each step, to whoever listens in the same thread."""
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from contextvars import ContextVar
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 _listener: ContextVar[Callable[[str], None] | None] = ContextVar("lfgpu_reading", default=None)
 
@@ -17,11 +20,16 @@ def say(step: str) -> None:
     listener()(step)
 
 
-@contextmanager
-def heard_by(listener: Callable[[str], None]) -> Iterator[None]:
+def heard_by(listener: Callable[[str], None]) -> AbstractContextManager[object]:
     """Let `listener` hear what readers say in this thread while the block runs."""
-    before = _listener.set(listener)
+    return within(_listener, listener)
+
+
+@contextmanager
+def within(variable: ContextVar[Any], value: T) -> Iterator[T]:
+    """Give a variable of this thread a value while the block runs."""
+    before = variable.set(value)
     try:
-        yield
+        yield value
     finally:
-        _listener.reset(before)
+        variable.reset(before)

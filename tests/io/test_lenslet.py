@@ -367,17 +367,6 @@ def test_pictures_of_other_kinds(sample: Sample, tmp_path: Path) -> None:
 # --- as a format, and on the command line ---
 
 
-def test_a_capture_is_recognised(sample: Sample, tmp_path: Path) -> None:
-    raw, _ = saved(sample, tmp_path)
-    entry, reason = recognise(raw)
-    assert entry.name == "lenslet"
-    assert reason.startswith("it is a grey picture of microlenses, a hexagonal lattice 9.")
-    light_field = read(raw)
-    assert light_field.name == "raw"
-    assert "Microlenses 9.3" in light_field.notes[-1]
-    assert "rows level and turned by" in light_field.notes[-1]
-
-
 def test_decoded_views_are_read_again(sample: Sample, tmp_path: Path) -> None:
     raw, white = saved(sample, tmp_path)
     decoded = decode(raw, white=white)

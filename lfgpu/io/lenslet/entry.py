@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -59,25 +60,16 @@ def _digest(path: Path) -> str:
 
 def _write(lf: LightField, path: Path) -> None:
     about = {"reference": lf.reference_index, "grid_shape": lf.grid_shape, "name": lf.name, "notes": lf.notes}
-    valid = np.zeros(0, np.uint8) if lf.valid is None else np.packbits(lf.valid)
+    masks: dict[str, Any] = {} if lf.valid is None else {"valid": lf.valid}
     with atomic_write(path) as file:
-        np.savez(file, views=lf.views, positions=lf.positions, valid=valid, about=np.array(json.dumps(about)))
+        np.savez(file, views=lf.views, positions=lf.positions, about=np.array(json.dumps(about)), **masks)
 
 
 def _read(path: Path) -> LightField:
     with np.load(path, allow_pickle=False) as held:
-        about, views, packed = json.loads(str(held["about"])), held["views"], held["valid"]
-        shape = views.shape[:3]
-        valid = np.unpackbits(packed, count=int(np.prod(shape))).reshape(shape).astype(bool) if packed.size else None
-        return LightField(
-            views,
-            held["positions"],
-            reference=about["reference"],
-            grid_shape=tuple(about["grid_shape"]),
-            valid=valid,
-            name=about["name"],
-            notes=tuple(about["notes"]),
-        )
+        about = json.loads(str(held["about"]))
+        about |= {name: tuple(about[name]) for name in ("grid_shape", "notes")}
+        return LightField(held["views"], held["positions"], valid=held.get("valid"), **about)
 
 
 def _make_room(place: Path) -> None:
