@@ -45,7 +45,7 @@ def command(
     side: Annotated[int, typer.Option(min=1, help="Pixels of the views, each way.")] = 512,
     views: Annotated[int, typer.Option(min=1, help="Views of the grid, each way.")] = 9,
     labels: Annotated[int, typer.Option(min=4, help="Disparities, a multiple of 4.")] = 32,
-    half: Annotated[bool, typer.Option(help="Store volumes in half precision, as a GPU does anyway.")] = False,
+    single: Annotated[bool, typer.Option(help="Store volumes in single precision.")] = False,
     repeats: Annotated[int, typer.Option(min=3)] = 10,
 ) -> None:
     """Time the network, and each of its parts alone."""
@@ -55,7 +55,7 @@ def command(
     reference = len(offsets) // 2
     layout = ViewLayout(offsets - offsets[reference], reference, (side, side), 3, np.dtype(np.uint8), 1 / 255)
     weights = random_weights(rng)
-    network = Network(Arena(place), weights, layout, labels, stored=np.float16 if half else None)
+    network = Network(Arena(place), weights, layout, labels, stored=np.float32 if single else np.float16)
     given = place.image(rng.integers(0, 256, layout.shape, np.uint8))
     first, *outputs = (place.zeros(layout.size) for _ in range(4))
     names = "disparity_out", "probability_out", "deviation_out"
@@ -89,8 +89,9 @@ def _row(name: str, calls: list[Call], device: Device, repeats: int, weights: An
     busy, seconds, arithmetic = process_time() - began, timed.seconds.median, 0.0
     if weights is not None:
         for call in calls:
-            volume, _, out = call.args  # type: ignore[attr-defined]  # a partial
-            voxels = min(volume.shape[0], out.shape[0]) * out.shape[1] * out.shape[2]
+            _, _, out = call.args  # type: ignore[attr-defined]  # a partial
+            rows = call.keywords.get("rows")  # type: ignore[attr-defined]
+            voxels = out.shape[0] * (rows.last - rows.first if rows else out.shape[1]) * out.shape[2]
             arithmetic += 2e-9 * voxels * weights.size
     numbers = f"{arithmetic:.2f}", f"{arithmetic / seconds:.0f}"
     on_cpu = NONE if device.is_gpu else f"{1e3 * busy:.1f}"

@@ -29,6 +29,7 @@ from lfgpu.io import write_hci
 from lfgpu.methods import PRESETS, configured
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.dry_run import DryArray, DryKernels
+from lfgpu.methods.matching import unet
 from lfgpu.methods.matching.choice import Choice
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.learned import BUILT_IN, VERSION, Network, read_weights
@@ -77,6 +78,19 @@ def test_backends_give_the_maps_of_the_reference(
     for name, one, other in zip(MAPS, got, want, strict=True):
         near = np.abs(one - other) <= within
         assert near.mean() >= 0.95, (name, near.mean(), np.abs(one - other).max())
+
+
+@pytest.mark.parametrize("stored", [np.float32, np.float16])
+def test_rows_at_a_time_give_the_bits_of_whole_volumes(
+    stored: type, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    weights, (layout, views) = random_weights(rng, WIDTHS), some_views(rng)
+    first, found = np.full(SIZE, -2.0, np.float32), []
+    for strip in (1, 3, SIZE[0]):
+        monkeypatch.setattr(unet, "_STRIP", strip)
+        found.append(maps("warp", weights, layout, views, first, stored))
+    for few in found[:2]:
+        np.testing.assert_array_equal(few, found[2])
 
 
 def test_maps_are_those_of_pytorch(rng: np.random.Generator) -> None:
@@ -284,7 +298,7 @@ def test_decisions_are_those_of_pytorch(rng: np.random.Generator) -> None:
     torch.manual_seed(int(rng.integers(2**31)))
     network = trained.Choice(WIDTHS).eval()
     device = Device(_backends.load("warp"), "cpu")
-    choice = Choice(Arena(device), fold(network.state_dict()), (64, 96))
+    choice = Choice(Arena(device), fold(network.state_dict()), (64, 96), stored=np.float32)
     image = rng.random((64, 96, 3)).astype(np.float32)
     first, second = ([rng.random((64, 96)).astype(np.float32) for _ in range(5)] for _ in range(2))
     outputs = {f"{name}_out": device.zeros((64, 96)) for name in ("disparity", "confidence", "variance")}

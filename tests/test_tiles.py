@@ -364,7 +364,7 @@ def test_what_is_taken_where_there_is_room_has_an_end() -> None:
 @pytest.mark.skipif(sys.platform != "linux", reason="peak memory is measured as Linux counts it")
 @pytest.mark.parametrize("device", ["cpu", "cuda:0"])
 @pytest.mark.parametrize(
-    "name", ["fast", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("accurate", "paper"))]
+    "name", ["fast", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("accurate", "surest", "paper"))]
 )
 def test_memory_is_as_foreseen(name: str, device: str) -> None:
     if device not in load("warp").devices():

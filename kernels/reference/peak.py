@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import FOLD, PEAK_REACH, peak_features
+from lfgpu.contract import FOLD, PEAK_REACH, Rows, peak_features
 
 Array = NDArray[np.float64]
 
@@ -25,16 +25,20 @@ def peak(
     disparity_out: Array,
     probability_out: Array,
     deviation_out: Array,
+    rows: Rows | None = None,
 ) -> None:
-    sharp = unfolded(logits, first.shape)
+    lines = np.arange(logits.shape[1]) if rows is None else np.arange(rows.first, rows.last)
+    there = slice(FOLD * lines[0], FOLD * (lines[-1] + 1))
+    first = first[there]
+    sharp = unfolded(logits[:, lines % logits.shape[1]], first.shape)
     shares = np.exp(sharp - sharp.max(0))
     shares /= shares.sum(0)
     labels = np.arange(len(shares))[:, None, None]
     near = np.where(np.abs(labels - shares.argmax(0)) <= PEAK_REACH, shares, 0)
-    probability_out[:] = near.sum(0)
-    place = (near * labels).sum(0) / probability_out
-    disparity_out[:] = first + step * place
-    deviation_out[:] = step * np.sqrt((near * (labels - place) ** 2).sum(0) / probability_out)
+    probability_out[there] = probability = near.sum(0)
+    place = (near * labels).sum(0) / probability
+    disparity_out[there] = first + step * place
+    deviation_out[there] = step * np.sqrt((near * (labels - place) ** 2).sum(0) / probability)
 
 
 def judge_peak(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
 Array = NDArray[np.float64]
 
@@ -31,9 +31,13 @@ class SectorCosts:
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         self._image, self._recorded, self._valid = image, recorded, valid
 
-    def __call__(self, first: Array, factor: Array, costs_out: Array, *, step: float, label: int) -> None:
+    def __call__(self, first: Array, factor: Array, costs_out: Array, *, step: float, rows: Rows | None = None) -> None:
+        _, held, *others = costs_out.shape
+        lines = np.arange(held) if rows is None else np.arange(rows.first, rows.last)
         for k, slice_out in enumerate(costs_out):
-            folded(self._costs(first + (label + k) * step, factor[0]), slice_out)
+            whole = np.empty((held if rows is None else rows.all, *others))
+            folded(self._costs(first + k * step, factor[0]), whole)
+            slice_out[lines % held] = whole[lines]
 
     def _costs(self, disparity: Array, factor: float) -> Array:
         """Compute the costs [y, x, COSTS] at a map."""

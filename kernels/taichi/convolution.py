@@ -5,7 +5,7 @@ from typing import Any
 
 import taichi as ti
 
-from lfgpu.contract import Float32Array
+from lfgpu.contract import Float32Array, Rows
 
 from .memory import DeviceArray, field, flat
 from .runtime import once, run
@@ -25,7 +25,7 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool, together: int
         bias: flat(),
         added: volumes,
         labels: int,
-        height: int,
+        held: int,
         width: int,
         inputs: int,
         outputs: int,
@@ -38,17 +38,20 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool, together: int
         more_labels: int,
         more_rows: int,
         more_columns: int,
-        at: int,
+        first: int,
+        rows: int,
+        height: int,
+        high: int,
+        held_out: int,
         volume_out: flat(result),
     ):
         slices = (labels + stride_l - 1) // stride_l
-        rows = (height + stride_y - 1) // stride_y
         columns = (width + stride_x - 1) // stride_x
         groups = outputs // together
         for i in range(slices * rows * columns * groups):
             c = i % groups * together
             x = i // groups % columns
-            y = i // groups // columns % rows
+            y = first + i // groups // columns % rows
             slice_ = i // groups // columns // rows
             sums = ti.Vector([0.0 for _ in range(together)])
             for k in range(kernel_l * kernel_y * kernel_x):
@@ -56,15 +59,15 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool, together: int
                 ty = y * stride_y + k // kernel_x % kernel_y - kernel_y // 2
                 tx = x * stride_x + k % kernel_x - kernel_x // 2
                 if tl >= 0 and tl < labels and ty >= 0 and ty < height and tx >= 0 and tx < width:
-                    there = ((tl * height + ty) * width + tx) * inputs
+                    there = ((tl * held + ty % held) * width + tx) * inputs
                     weight = k * inputs * outputs + c
                     for j in range(inputs):
                         value = ti.cast(volume[there + j], ti.f32)
                         for g in ti.static(range(together)):
                             sums[g] += weights[weight + j * outputs + g] * value
-            more = slice_ * more_labels // slices * more_rows + y * more_rows // rows
+            more = slice_ * more_labels // slices * more_rows + y // high % more_rows
             more = (more * more_columns + x * more_columns // columns) * outputs + c
-            here = (((at + slice_) * rows + y) * columns + x) * outputs + c
+            here = ((slice_ * held_out + y % held_out) * columns + x) * outputs + c
             for g in ti.static(range(together)):
                 value = sums[g] + bias[c + g]
                 if ti.static(adds):
@@ -91,14 +94,22 @@ class _Convolution:
         self._weights, self._bias = field(weights, device), field(bias, device)
         self._strides, self._rectified = strides, rectified
 
-    def __call__(self, volume: DeviceArray, added: DeviceArray | None, volume_out: DeviceArray, *, at: int = 0) -> None:
+    def __call__(
+        self, volume: DeviceArray, added: DeviceArray | None, volume_out: DeviceArray, *, rows: Rows | None = None
+    ) -> None:
         window, (inputs, outputs) = self._weights.shape[:3], self._weights.shape[3:]
         convolve = _kernel(
             volume.scalar, volume_out.scalar, added is not None, self._rectified, math.gcd(outputs, _MOST)
         )
         more = volume if added is None else added
         sizes = *volume.shape, inputs, outputs, *window, *self._strides, *more.shape
-        run(convolve, volume, self._weights, self._bias, more, *sizes, at, volume_out)
+        held, columns = volume_out.shape[1:]
+        if rows is None:
+            place = 0, held, volume.shape[1], 1 if added is None else held // added.shape[1]
+        else:
+            high = 1 if added is None else columns // added.shape[2]
+            place = rows.first, rows.last - rows.first, rows.all * self._strides[1], high
+        run(convolve, volume, self._weights, self._bias, more, *sizes, *place, held, volume_out)
 
 
 convolution = _Convolution

@@ -6,7 +6,7 @@ from typing import Any
 
 import taichi as ti
 
-from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH
+from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH, Rows
 
 from .memory import DeviceArray, flat
 from .runtime import once, run
@@ -19,6 +19,8 @@ def _kernel(stored: Any) -> Any:
         logits: flat(stored),
         first: flat(),
         step: float,
+        begin: int,
+        end: int,
         labels: int,
         rows: int,
         columns: int,
@@ -27,10 +29,10 @@ def _kernel(stored: Any) -> Any:
         probability_out: flat(),
         deviation_out: flat(),
     ):
-        for p in range(first.shape[0]):
+        for p in range(begin, end):
             y = p // width
             x = p % width
-            here = (y // FOLD * columns + x // FOLD) * FOLD * FOLD + y % FOLD * FOLD + x % FOLD
+            here = (y // FOLD % rows * columns + x // FOLD) * FOLD * FOLD + y % FOLD * FOLD + x % FOLD
             apart = rows * columns * FOLD * FOLD
             best = 0
             most = ti.cast(logits[here], ti.f32)
@@ -68,8 +70,11 @@ def peak(
     disparity_out: DeviceArray,
     probability_out: DeviceArray,
     deviation_out: DeviceArray,
+    rows: Rows | None = None,
 ) -> None:
-    sizes = *logits.shape, first.shape[1]
+    height, width = first.shape
+    top, bottom = (0, height) if rows is None else (min(FOLD * row, height) for row in (rows.first, rows.last))
+    sizes = top * width, bottom * width, *logits.shape, width
     run(_kernel(logits.scalar), logits, first, step, *sizes, disparity_out, probability_out, deviation_out)
 
 

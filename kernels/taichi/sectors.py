@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
 from .memory import DeviceArray, flat, numpy, optional, table
 from .runtime import double, once, run
@@ -40,7 +40,8 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
         factor: flat(double()),
         scale: float,
         step: float,
-        label: int,
+        top: int,
+        some: int,
         height: int,
         width: int,
         slices: int,
@@ -50,16 +51,17 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
     ):
         """`order` holds for each view its number and its offset."""
         gain = ti.cast(factor[0], ti.f32)
-        size = rows * columns * FOLD * FOLD
+        size = some * columns * FOLD * FOLD
         for i in range(slices * size):
             slice_ = i // size
-            begin = slice_ * COSTS * size
-            fy = i % size // (columns * FOLD)
+            begin = slice_ * COSTS * rows * columns * FOLD * FOLD
+            line = top * FOLD + i % size // (columns * FOLD)
+            fy = line % (rows * FOLD)
             fx = i % (columns * FOLD)
-            y = ti.min(fy, height - 1)
+            y = ti.min(line, height - 1)
             x = ti.min(fx, width - 1)
             here = y * width + x
-            disparity = first[here] + ti.cast(label + slice_, ti.f32) * step
+            disparity = first[here] + ti.cast(slice_, ti.f32) * step
             reference = gain * image[here]
             sums = ti.Vector([0.0, 0.0])
             there = 0
@@ -130,13 +132,20 @@ class _SectorCosts:
         self._image, self._recorded, self._valid = image, recorded, valid
 
     def __call__(
-        self, first: DeviceArray, factor: DeviceArray, costs_out: DeviceArray, *, step: float, label: int
+        self,
+        first: DeviceArray,
+        factor: DeviceArray,
+        costs_out: DeviceArray,
+        *,
+        step: float,
+        rows: Rows | None = None,
     ) -> None:
         _, height, width, channels = self._shape
         mask, masked = optional(self._valid)
         find = _costs_kernel(channels, self._recorded.scalar, costs_out.scalar, masked)
         arrays = self._recorded, self._image, mask, self._order, self._begins, first, factor
-        run(find, *arrays, self._scale, step, label, height, width, *costs_out.shape, costs_out)
+        place = (0, costs_out.shape[1]) if rows is None else (rows.first, rows.last - rows.first)
+        run(find, *arrays, self._scale, step, *place, height, width, *costs_out.shape, costs_out)
 
 
 sector_costs = _SectorCosts

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import Float32Array
+from lfgpu.contract import Float32Array, Rows
 
 from .memory import pixel_type, start
 from .native_code import c_type, kernel
@@ -112,21 +112,26 @@ class _Convolution:
         if self._tiles:
             self._fragments = wp.array(_fragments(weights), dtype=wp.uint32, device=self._device)
 
-    def __call__(self, volume: Any, added: Any, volume_out: Any, *, at: int = 0) -> None:
-        labels = -(-volume.shape[0] // self._strides[0])
-        out = volume_out[at : at + labels]
-        types = tuple(array.dtype._wp_scalar_type_ for array in (volume, out))
+    def __call__(self, volume: Any, added: Any, volume_out: Any, *, rows: Rows | None = None) -> None:
+        labels, held, columns = volume_out.shape
+        types = tuple(array.dtype._wp_scalar_type_ for array in (volume, volume_out))
         kind = self._shape, self._strides, self._rectified, *types
+        if rows is None:
+            first, some, height = 0, held, volume.shape[1]
+            high = 1 if added is None else held // added.shape[1]
+        else:
+            first, some, height = rows.first, rows.last - rows.first, rows.all * self._strides[1]
+            high = 1 if added is None else columns // added.shape[2]
+        inputs = [volume, self._weights, self._bias, added, first, some, height, high]
         if not self._device.is_cpu:
-            self._on_gpu(kind, [volume, self._weights, self._bias, added], out)
+            self._on_gpu(kind, inputs, some, volume_out)
             return
-        inputs = [volume, self._weights, self._bias, added]
-        launch_slices(_kernel("convolve_rows", *kind), labels * out.shape[1], inputs, out)
+        launch_slices(_kernel("convolve_rows", *kind), labels * some, inputs, volume_out)
 
-    def _on_gpu(self, kind: tuple[Any, ...], inputs: list[Any], out: Any) -> None:
-        labels, rows, columns = out.shape
+    def _on_gpu(self, kind: tuple[Any, ...], inputs: list[Any], rows: int, out: Any) -> None:
+        labels, _, columns = out.shape
         if not self._tiles or inputs[0].dtype._wp_scalar_type_ is not wp.float16:
-            threads = out.size * self._shape[-1] // _GROUP
+            threads = labels * rows * columns * self._shape[-1] // _GROUP
             check_size(threads)
             launch(_kernel("convolve_voxels", *kind), threads, inputs, [out], device=self._device)
             return

@@ -6,7 +6,7 @@ from typing import Any
 
 import warp as wp
 
-from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH
+from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH, Rows
 
 from .memory import pixel_type
 from .native_code import c_type, kernel
@@ -31,12 +31,24 @@ def _pixel_kernel(stored: Any) -> Any:
     return kernel("peak.cuh", "find_peak", module=module, **types, **numbers)
 
 
-def peak(logits: Any, first: Any, *, step: float, disparity_out: Any, probability_out: Any, deviation_out: Any) -> None:
+def peak(
+    logits: Any,
+    first: Any,
+    *,
+    step: float,
+    disparity_out: Any,
+    probability_out: Any,
+    deviation_out: Any,
+    rows: Rows | None = None,
+) -> None:
     outputs, stored = [disparity_out, probability_out, deviation_out], logits.dtype._wp_scalar_type_
+    top, bottom = (0, logits.shape[1]) if rows is None else (rows.first, rows.last)
     if not logits.device.is_cpu:
-        launch(_pixel_kernel(stored), first.size, [logits, first, step], outputs, device=logits.device)
+        height, width = first.shape
+        begin, pixels = FOLD * top * width, (min(FOLD * bottom, height) - FOLD * top) * width
+        launch(_pixel_kernel(stored), max(pixels, 0), [logits, first, step, begin], outputs, device=logits.device)
         return
-    launch_slices(_rows_kernel(stored), logits.shape[1], [logits, first, step], *outputs)
+    launch_slices(_rows_kernel(stored), bottom - top, [logits, first, step, top], *outputs)
 
 
 @pixelwise("lfgpu_judge_peak")

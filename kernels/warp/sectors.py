@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, sectors_of
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
 from .cpu_plane_sweep import keep_views, kept_type, loading_kernels
 from .gpu_plane_sweep import kept_type as gpu_kept_type
@@ -74,18 +74,19 @@ class _SectorCosts:
             return
         keep_views(loading_kernels(channels, stored).views, recorded, 0, self._views)
 
-    def __call__(self, first: Any, factor: Any, costs_out: Any, *, step: float, label: int) -> None:
+    def __call__(self, first: Any, factor: Any, costs_out: Any, *, step: float, rows: Rows | None = None) -> None:
         kind = self._shape[-1], self._stored, costs_out.dtype._wp_scalar_type_
-        planned = [self._order, self._begins, self._offsets, first, factor, self._scale, step, label]
+        labels, held, columns = costs_out.shape
+        top, some = (0, held) if rows is None else (rows.first, rows.last - rows.first)
+        planned = [self._order, self._begins, self._offsets, first, factor, self._scale, step, top]
         if not self._device.is_cpu:
-            labels, rows, columns = costs_out.shape
-            threads = labels * rows * -(-columns * FOLD**2 // _BLOCK) * _BLOCK
+            threads = labels * some * -(-columns * FOLD**2 // _BLOCK) * _BLOCK
             check_size(threads)
             inputs = [self._views, self._image, *planned]
             launch(_gpu_costs_kernel(*kind), threads, inputs, [costs_out], device=self._device, block_dim=_BLOCK)
             return
         inputs = [self._views, self._image, self._valid, *planned]
-        launch_slices(_costs_kernel(*kind), costs_out.shape[0] * costs_out.shape[1], inputs, costs_out)
+        launch_slices(_costs_kernel(*kind), labels * some, inputs, costs_out)
 
 
 sector_costs = _SectorCosts

@@ -4,9 +4,13 @@ A *volume* is an image [l, y, x, c], stored as float16 or float32, with any numb
 the FOLD x FOLD pixels of a square are channels of one: pixel (FOLD y + i, FOLD x + j) and channel c of an image are
 pixel (y, x) and channel FOLD^2 c + FOLD i + j of the folded one. Beyond its border the image goes on with its border
 pixels until the folded one is full.
+
+A volume may hold fewer rows than there are: row y is then row y modulo these, until a later one takes its place.
+Operations that write `Rows` of an output read such volumes, and write them.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -43,6 +47,15 @@ CLOSE = 0.5
 """Pixels in the farthest view: maps that are closer show one surface, and a mean of them does, too."""
 
 
+@dataclass(frozen=True)
+class Rows:
+    """The rows of a volume from `first` to before `last`, of so many in `all`."""
+
+    first: int
+    last: int
+    all: int
+
+
 class SectorCosts(Protocol):
     """Costs of the views in each sector at a row of disparities, planned for light fields of one kind.
 
@@ -56,19 +69,22 @@ class SectorCosts(Protocol):
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
         """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
 
-    def __call__(self, first: Array, factor: Scalar, costs_out: Array, *, step: float, label: int) -> None:
-        """costs [l, y', x', FOLD^2 COSTS], folded: those at first + (label + l) step; `first` is a map [y, x]."""
+    def __call__(
+        self, first: Array, factor: Scalar, costs_out: Array, *, step: float, rows: Rows | None = None
+    ) -> None:
+        """costs [l, y', x', FOLD^2 COSTS], folded: those at first + l step; `first` is a map [y, x]. None: all rows."""
 
 
 class Convolution(Protocol):
     """A convolution with its bias, its strides, what is added to it and its rectifier; weights are planned."""
 
-    def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, at: int = 0) -> None:
-        """Write slices of a volume from `at` on: sum_k w_k volume(stride p + k - size // 2) + bias + added.
+    def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, rows: Rows | None = None) -> None:
+        """Write sum_k w_k volume(stride p + k - size // 2) + bias + added.
 
         Beyond its border `volume` is 0; ceil(size / stride) are the sizes of what is written. `added` is a volume,
         stored as `volume` is, whose sizes divide these; each of its pixels counts for as many next to each other.
-        Negative results are 0 if the plan is `rectified`.
+        Negative results are 0 if the plan is `rectified`. With `rows` of the output, `volume` has stride times as many
+        rows as these are in all, and pixels of `added` count for as many rows as columns.
         """
 
 
@@ -110,12 +126,13 @@ class Learned(Protocol):
         disparity_out: Array,
         probability_out: Array,
         deviation_out: Array,
+        rows: Rows | None = None,
     ) -> None:
         """Find the peak of the distributions softmax_l of folded logits [l, y', x', FOLD^2] at first + l step.
 
         disparity [y, x] is the mean over the likeliest l, the first one of several, and PEAK_REACH on either side;
         deviation is the standard deviation there, and probability what these have of the whole distribution. `first` is
-        [y, x].
+        [y, x]. With `rows` of the logits, only the pixels that are folded into these are written.
         """
 
     def judge_peak(

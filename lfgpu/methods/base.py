@@ -219,10 +219,11 @@ class Method(ABC, Generic[C]):
         views = used.count * used.channels * used.dtype.itemsize
         masks = 0 if used.masks is None else used.count
         host = 0 if on_gpu else views + masks  # the tile as it was cut out
-        planned, spare = dry_run(used, lambda small, device: self.plan(small, measured, device), on_gpu=on_gpu)
+        planned = dry_run(used, lambda small, device: self.plan(small, measured, device), on_gpu=on_gpu)
+        kept, spare = host + views + masks + planned.per_pixel, planned.spare_per_pixel
         if not on_gpu:
-            return Footprint(host + views + masks + planned, PROCESS)
-        return Footprint(views + masks + planned, GPU_CONTEXT, spare, SPARE if spare else 0)
+            return Footprint(kept, PROCESS, per_column=planned.per_column)
+        return Footprint(kept, GPU_CONTEXT, spare, SPARE if spare else 0, per_column=planned.per_column)
 
     @abstractmethod
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:

@@ -17,7 +17,8 @@ import numpy as np
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
 
-_SIDE = 128  # pixels, sides of the views of a dry run
+_SIDE = 128  # pixels, width of the views of a dry run
+_HEIGHTS = 512, 1024  # pixels: volumes that hold a few rows hold fewer
 _FLOAT = 4  # bytes
 _SLICES = 16  # that work on a CPU is cut into, each with its own nearest surfaces
 _STEP_COSTS = 8 * 2 * _FLOAT  # bytes: of the steps to a pixel in all directions, which a GPU keeps
@@ -182,12 +183,27 @@ class DryKernels:
         self.bytes += math.prod(shape) * itemsize
 
 
-def dry_run(layout: ViewLayout, plan: Callable[[ViewLayout, Device], Any], *, on_gpu: bool) -> tuple[float, float]:
-    """Allocate a plan for a layout and run its stages, all dry.
+@dataclass(frozen=True)
+class Counted:
+    """The bytes of a plan, which depend on the size of the views."""
 
-    Returns bytes per pixel of a view that are needed, and that operations take besides where there is room.
-    """
-    size = (_SIDE, _SIDE)
+    per_pixel: float
+    per_column: float  # of volumes that hold a few rows
+    spare_per_pixel: float  # that operations take besides where there is room
+
+
+def dry_run(layout: ViewLayout, plan: Callable[[ViewLayout, Device], Any], *, on_gpu: bool) -> Counted:
+    """Allocate a plan for a layout and run its stages, all dry, for views of two heights."""
+    low, high = (_counting(layout, plan, (height, _SIDE), on_gpu=on_gpu) for height in _HEIGHTS)
+    more = _HEIGHTS[1] - _HEIGHTS[0]
+    per_pixel = (high.bytes - low.bytes) / (more * _SIDE)
+    return Counted(per_pixel, low.bytes / _SIDE - per_pixel * _HEIGHTS[0], low.spare / (_HEIGHTS[0] * _SIDE))
+
+
+def _counting(
+    layout: ViewLayout, plan: Callable[[ViewLayout, Device], Any], size: tuple[int, int], *, on_gpu: bool
+) -> DryKernels:
+    """Run a plan for views of a size; return what has counted."""
     mask = np.ones(size, np.bool_)
     masks = None if layout.masks is None else (mask,) * layout.count
     small, kernels = replace(layout, size=size, masks=masks), DryKernels(on_gpu=on_gpu)
@@ -195,4 +211,4 @@ def dry_run(layout: ViewLayout, plan: Callable[[ViewLayout, Device], Any], *, on
     with np.errstate(all="ignore"):  # solvers on the host divide by what is 0 here
         for work in plan(small, device).stages(DryArray(small.shape, layout.dtype.itemsize)).values():
             work(None)
-    return kernels.bytes / _SIDE**2, kernels.spare / _SIDE**2
+    return kernels

@@ -28,7 +28,7 @@ def parse_memory(value: str | float) -> int:
 
 @dataclass(frozen=True)
 class Footprint:
-    """The memory of a `DepthPipeline`: bytes per pixel of a view, plus a constant.
+    """The memory of a `DepthPipeline`: bytes per pixel and per column of a view, plus a constant.
 
     What makes it faster takes `spare_per_pixel` bytes more, but at most `spare` bytes in all.
     """
@@ -37,11 +37,12 @@ class Footprint:
     besides: int
     spare_per_pixel: float = 0.0
     spare: int = 0
+    per_column: float = 0.0
 
     def bytes(self, height: int, width: int) -> int:
         """Count the bytes for views of one size, including the process, or the context of the GPU."""
         spare = min(self.spare_per_pixel * height * width, self.spare)
-        return self.besides + int(_SLACK * (self.per_pixel * height * width + spare))
+        return self.besides + int(_SLACK * ((self.per_pixel * height + self.per_column) * width + spare))
 
 
 class TooLittleMemoryError(LightFieldError):

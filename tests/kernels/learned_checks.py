@@ -1,13 +1,15 @@
 """The operations of the learned aggregation: cases, their random inputs and checks."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
+from typing import Any
 
 import checks
 import numpy as np
 from checks import Desk, Operation, Outputs
 
-from lfgpu.contract import COMPARED, COSTS, DECISIONS, FOLD
+from lfgpu.contract import COMPARED, COSTS, DECISIONS, FOLD, Rows
 
 
 @dataclass(frozen=True)
@@ -35,9 +37,10 @@ class SectorCase(Stored):
     first: float = -1.5
     step: float = 0.71875
     count: int = 3
-    label: int = 0
     room: int = 0
     gain: float = 1.0
+    strip: int | None = None
+    """So many folded rows are computed at a time, into a volume that holds no more."""
 
 
 SECTOR_CASES = (
@@ -59,11 +62,12 @@ SECTOR_CASES = (
     SectorCase("one row of views", offsets=checks.grid(1, 5), masked=True),
     SectorCase("corner reference", offsets=tuple((u + 1, v + 1) for u, v in checks.grid(3, 3))),
     SectorCase("one view without offset", offsets=((0.0, 0.0),)),
-    SectorCase("irregular offsets", offsets=checks.IRREGULAR, masked=True, label=2),
+    SectorCase("irregular offsets", offsets=checks.IRREGULAR, masked=True),
     SectorCase("partly out of the frame", first=-9.0, step=2.125, masked=True, spread=3.0),
     SectorCase("all out of the frame", first=20.0, offsets=((1.0, 0.0), (-1.0, 1.0), (0.0, -2.0))),
     SectorCase("whole shifts", first=-2.0, step=1.0, count=4),
     SectorCase("dark", gain=0.01),
+    SectorCase("rows at a time", size=(19, 9), strip=3, spread=1.0, masked=True),
     SectorCase("many views", offsets=checks.grid(5, 7), size=(7, 8), channels=1, masked=True),
     SectorCase("wide", size=(5, 150), spread=0.5),
     SectorCase("work for several threads", size=(53, 67), offsets=checks.grid(3, 4), masked=True, count=2),
@@ -86,8 +90,9 @@ def sector_inputs(case: SectorCase, rng: np.random.Generator) -> SimpleNamespace
         folded=tuple(folded),
         stored=case.stored,
         scale=checks.scale_of(case.dtype),
-        options={"step": case.step, "label": case.label},
+        step=case.step,
         count=case.count,
+        strip=case.strip,
     )
 
 
@@ -101,7 +106,8 @@ class ConvolutionCase(Stored):
     strides: tuple[int, int, int] = (1, 1, 1)
     added: tuple[int, int, int] | None = None
     rectified: bool = True
-    at: int = 0
+    strip: tuple[int, int, int] | None = None
+    """So many rows are computed at a time, of a volume and into one that hold so many."""
     exact: bool = False
     """Whether the result is stored as float32, whatever else is."""
 
@@ -113,7 +119,7 @@ class ConvolutionCase(Stored):
 _LAYERS = (
     ConvolutionCase("all around"),
     ConvolutionCase("as it is", rectified=False, channels=(16, 4), exact=True),
-    ConvolutionCase("pixel by pixel", window=(1, 1, 1), channels=(64, 48), at=2),
+    ConvolutionCase("pixel by pixel", window=(1, 1, 1), channels=(64, 48)),
     ConvolutionCase("an image is added", window=(1, 1, 1), channels=(48, 24), added=(4, 1, 1)),
     ConvolutionCase("an image", size=(1, 9, 13), window=(1, 3, 3), channels=(16, 24)),
     ConvolutionCase("a coarse volume is added", window=(1, 1, 1), channels=(40, 40), added=(2, 2, 2)),
@@ -121,13 +127,23 @@ _LAYERS = (
     ConvolutionCase("strides", strides=(2, 2, 2), channels=(40, 56), size=(8, 10, 12)),
     ConvolutionCase("strides of odd sizes", strides=(2, 2, 2), channels=(24, 40), size=(5, 7, 13)),
     ConvolutionCase("strides in the image", strides=(1, 2, 2), window=(1, 3, 3), channels=(72, 72)),
-    ConvolutionCase("stride of slices alone", strides=(2, 1, 1), window=(3, 1, 1), rectified=False, at=1),
+    ConvolutionCase("stride of slices alone", strides=(2, 1, 1), window=(3, 1, 1), rectified=False),
     ConvolutionCase("wide", size=(2, 3, 70), channels=(56, 56)),
     ConvolutionCase("high", size=(2, 70, 3), channels=(24, 24)),
     ConvolutionCase("many channels", size=(3, 4, 5), channels=(72, 72)),
     ConvolutionCase("one voxel", size=(1, 1, 1)),
     ConvolutionCase("large window", size=(3, 6, 7), window=(1, 5, 7)),
     ConvolutionCase("work for several threads", size=(4, 17, 67), channels=(24, 4)),
+    ConvolutionCase("rows at a time", size=(2, 14, 10), strip=(3, 6, 4)),
+    ConvolutionCase("rows with strides", size=(2, 20, 10), strides=(2, 2, 2), channels=(24, 40), strip=(2, 8, 10)),
+    ConvolutionCase(
+        "rows to which coarse ones are added",
+        size=(2, 12, 12),
+        window=(1, 1, 1),
+        channels=(24, 24),
+        added=(1, 2, 2),
+        strip=(4, 4, 5),
+    ),
 )
 CONVOLUTION_CASES = (*_LAYERS, *(replace(case, name=f"half {case}", stored="float16") for case in _LAYERS))
 
@@ -148,10 +164,10 @@ def convolution_inputs(case: ConvolutionCase, rng: np.random.Generator) -> Simpl
         weights=half((*case.window, *case.channels), (inputs * np.prod(case.window)) ** -0.5),
         bias=half((outputs,)),
         added=added,
-        before=half((size[0] + case.at, *size[1:], outputs)),
+        shape=(*size, outputs),
         stored=case.stored,
         result=case.stored if not case.exact else "float32",
-        at=case.at,
+        strip=case.strip,
         options={"strides": case.strides, "rectified": case.rectified},
     )
 
@@ -164,6 +180,8 @@ class PeakCase(Stored):
     count: int = 12
     room: int = 0
     sharpness: float = 3.0
+    strip: int | None = None
+    """So many folded rows are looked at, at a time."""
 
     @property
     def tolerance(self) -> float:
@@ -180,6 +198,7 @@ PEAK_CASES = (
     PeakCase("one pixel", size=(1, 1)),
     PeakCase("nothing is likely", sharpness=0.0),
     PeakCase("sharp", sharpness=400.0),
+    PeakCase("rows at a time", size=(15, 10), room=4, strip=3),
     PeakCase("work for several threads", size=(33, 150), count=32),
 )
 
@@ -192,6 +211,7 @@ def peak_inputs(case: PeakCase, rng: np.random.Generator) -> SimpleNamespace:
         first=checks.coarse(rng.uniform(-2, 2, case.size), 2.0**-6),
         step=0.71875,
         stored=case.stored,
+        strip=case.strip,
         probability=rng.choice([0.0, 1.0, *rng.random(8)], case.size),
         deviation=rng.choice([0.0, *rng.random(8)], case.size),
         weights_of_judge={"share": rng.normal(size=4), "spread": rng.normal(size=3), "limit": 0.28},
@@ -281,33 +301,83 @@ def sector_costs(desk: Desk, i: SimpleNamespace) -> Outputs:
     plan = desk.kernels.sector_costs(i.recorded.shape, desk.field(i.offsets), scale=i.scale)
     mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1]), desk.image(i.recorded[:, ::-1]), mask)
-    plan(first, factor, out["other"], **i.options)
+    plan(first, factor, out["other"], step=i.step)
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
-    plan(first, factor, out["costs"], **i.options)
-    return {name: desk.stored_values(volume) for name, volume in out.items()}
+    plan(first, factor, out["costs"], step=i.step)
+    found = {name: desk.stored_values(volume) for name, volume in out.items()}
+    if i.strip is not None:
+        whole, few = np.empty((i.count, *i.folded, COSTS * FOLD**2)), (i.count, i.strip, *i.folded[1:], COSTS * FOLD**2)
+        for rows in strips(i.folded[0], i.strip):
+            volume = desk.stored_out(few, i.stored)
+            plan(first, factor, volume, step=i.step, rows=rows)
+            collect(desk, volume, rows, whole)
+        found["in strips"] = desk.kernels.field(whole, desk.device)
+    return found
+
+
+def strips(rows: int, some: int) -> Iterator[Rows]:
+    """Cut rows into strips of some."""
+    for first in range(0, rows, some):
+        yield Rows(first, min(first + some, rows), rows)
+
+
+def collect(desk: Desk, volume: Any, rows: Rows, whole_out: np.ndarray) -> None:
+    """Copy rows of a volume that holds few to where they are among all."""
+    there = np.arange(rows.first, rows.last)
+    whole_out[:, there] = desk.kernels.numpy(volume)[:, there % volume.shape[1]]
+
+
+def of_rows(values: np.ndarray, held: int, first: int, last: int) -> np.ndarray:
+    """Return a volume that holds few rows, and those of `values` from `first` to before `last`; others are NaN."""
+    some = np.full((len(values), held, *values.shape[2:]), np.nan, values.dtype)
+    there = np.arange(max(first, 0), min(last, values.shape[1]))
+    assert len(there) <= held
+    some[:, there % held] = values[:, there]
+    return some
 
 
 def convolution(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """Twice with one plan; slices before those that are written stay."""
+    """Twice with one plan, or a few rows at a time."""
 
     def volume(values: np.ndarray) -> object:
         return desk.image(values.astype(i.stored))
 
     plan = desk.kernels.convolution(i.weights, i.bias, desk.device, **i.options)
+    if i.strip is not None:
+        return {"result": in_strips(desk, plan, i)}
     added = None if i.added is None else volume(i.added)
     out = {"other": -i.volume, "result": i.volume}
     for name, values in out.items():
-        target = desk.stored_out(i.before.shape, i.result)
-        desk.kernels.upload(i.before.astype(i.result), target)
-        plan(volume(values), added, target, at=i.at)
+        target = desk.stored_out(i.shape, i.result)
+        plan(volume(values), added, target)
         out[name] = desk.stored_values(target)
     return out
+
+
+def in_strips(desk: Desk, plan: Any, i: SimpleNamespace) -> Any:
+    """Compute a convolution a few rows at a time, of volumes that hold few."""
+    some, held, held_out = i.strip
+    (labels, rows, *others), stride, reach = i.shape, i.options["strides"][1], i.weights.shape[1] // 2
+    whole, target = np.empty(i.shape), desk.stored_out((labels, held_out, *others), i.result)
+    for strip in strips(rows, some):
+        begin, end = stride * strip.first - reach, stride * (strip.last - 1) + reach + 1
+        volume, added = of_rows(i.volume, held, begin, end), None
+        if i.added is not None:
+            high = rows // i.added.shape[1]
+            coarse = of_rows(i.added, held // high, strip.first // high, (strip.last - 1) // high + 1)
+            added = desk.image(coarse.astype(i.stored))
+        plan(desk.image(volume.astype(i.stored)), added, target, rows=strip)
+        collect(desk, target, strip, whole)
+    return desk.kernels.field(whole, desk.device)
 
 
 def peak(desk: Desk, i: SimpleNamespace) -> Outputs:
     names = ("disparity", "probability", "deviation")
     out = {f"{name}_out": desk.out(i.first.shape) for name in names}
-    desk.kernels.peak(desk.image(i.logits.astype(i.stored)), desk.field(i.first), step=i.step, **out)
+    first, rows = desk.field(i.first), i.logits.shape[1]
+    for strip in [None] if i.strip is None else strips(rows, i.strip):
+        logits = i.logits if strip is None else of_rows(i.logits, i.strip + 1, strip.first, strip.last)
+        desk.kernels.peak(desk.image(logits.astype(i.stored)), first, step=i.step, rows=strip, **out)
     return {name: out[f"{name}_out"] for name in names}
 
 

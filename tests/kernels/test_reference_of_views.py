@@ -66,7 +66,7 @@ def test_costs_are_those_of_each_sector(case: SectorCase, rng: np.random.Generat
         label = int(rng.integers(len(got)))
         y, x = (int(rng.integers(2 * side)) for side in i.folded)
         row, column = min(y, case.size[0] - 1), min(x, case.size[1] - 1)
-        d = float(i.first[row, column]) + (case.label + label) * case.step
+        d = float(i.first[row, column]) + label * case.step
         single, common = [math.nan] * 8, [math.nan] * 8
         for sector in range(8):
             found = []
@@ -105,8 +105,6 @@ def test_sectors_and_references_are_in_order() -> None:
 def test_convolution_is_that_of_each_voxel(case: ConvolutionCase, rng: np.random.Generator) -> None:
     i = convolution_inputs(case, rng)
     got = compute(REFERENCE, "cpu", learned_checks.CONVOLUTION, i)["result"]
-    np.testing.assert_array_equal(got[: case.at], i.before[: case.at])
-    got = got[case.at :]
     for _ in range(12):
         place = [int(rng.integers(length)) for length in got.shape[:3]]
         want = i.bias.astype(np.float64).copy()

@@ -7,6 +7,11 @@
 #pragma once
 #include "lfgpu.h"
 
+// The place of a row in a volume that holds so many. Where these are all, nothing is divided.
+inline int place_of(int y, int held) {
+    return y < held ? y : y % held;
+}
+
 // Add a b for 16 channels of the volume.
 inline void add_products(float* sums, const unsigned* a, unsigned b0, unsigned b1) {
     asm volatile("mma.sync.aligned.m16n8k16.row.col.f32.f16.f16.f32 "
@@ -23,22 +28,23 @@ inline void add_half_products(float* sums, const unsigned* a, unsigned b0) {
         : "r"(a[0]), "r"(a[1]), "r"(b0));
 }
 
-// Compute 16 columns and 4 TILES rows with each block of four warps; each warp has TILES of the rows.
+// Compute 16 columns and 4 TILES of `some` rows from `first` on with each block of four warps; each warp has TILES of
+// the rows. The volume has so much `height`; a row of `added` is for `high` rows.
 //
 // What they need of a slice of the volume lies in shared memory, APART numbers from pixel to pixel: eight pixels are in
 // different banks then. Weights are in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane].
 void convolve_tiles(
-    int tid, Array3<In> volume, Array1<uint32> weights, Array1<float> bias, Array3<Added> added,
-    Array3<Out> volume_out) {
+    int tid, Array3<In> volume, Array1<uint32> weights, Array1<float> bias, Array3<Added> added, int first, int some,
+    int height, int high, Array3<Out> volume_out) {
     constexpr int ROWS = 4 * TILES, HIGH = (ROWS - 1) * SY + KY, WIDE = 15 * SX + KX;
     constexpr int BLOCKS = CI / 8, PARTS = (CO + 7) / 8, WORDS = APART / 2;
     alignas(16) __shared__ unsigned tile[HIGH * WIDE * WORDS];
-    const int labels = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
+    const int labels = volume.shape[0], held = volume.shape[1], width = volume.shape[2];
     const int rows = volume_out.shape[1], columns = volume_out.shape[2];
     const int thread = tid % 128, lane = thread % 32, warp = thread / 32, row = lane / 4, pair = lane % 4;
-    const int across = (columns + 15) / 16, down = (rows + ROWS - 1) / ROWS, block = tid / 128;
+    const int across = (columns + 15) / 16, down = (some + ROWS - 1) / ROWS, block = tid / 128;
     const int l = block / (across * down), place = block - l * across * down;
-    const int top = place / across * ROWS, left = place % across * 16;
+    const int top = first + place / across * ROWS, left = place % across * 16;
 
     float sums[TILES][PARTS][4];
     #pragma unroll
@@ -56,7 +62,8 @@ void convolve_tiles(
             const int y = top * SY - KY / 2 + pixel / WIDE, x = left * SX - KX / 2 + pixel % WIDE;
             uint4 values = {0u, 0u, 0u, 0u};
             if (y >= 0 && y < height && x >= 0 && x < width)
-                values = ((const uint4*)volume.data)[(((size_t)slice * height + y) * width + x) * BLOCKS + part];
+                values = ((const uint4*)
+                    volume.data)[(((size_t)slice * held + place_of(y, held)) * width + x) * BLOCKS + part];
             *(uint4*)(tile + pixel * WORDS + part * 4) = values;
         }
         __syncthreads();
@@ -96,16 +103,16 @@ void convolve_tiles(
 
     struct alignas(2 * sizeof(RESULT)) Pair { RESULT first, second; };
     const STORED* const more = (const STORED*)added.data;
-    const int deep = more ? volume_out.shape[0] / added.shape[0] : 1, high = more ? rows / added.shape[1] : 1;
-    const int apart = more ? columns / added.shape[2] : 1;
+    const int deep = more ? volume_out.shape[0] / added.shape[0] : 1, apart = more ? columns / added.shape[2] : 1;
     #pragma unroll
     for (int j = 0; j < TILES; ++j)
         #pragma unroll
         for (int i = 0; i < 2; ++i) {
             const int y = top + warp * TILES + j, x = left + row + 8 * i;
-            if (y >= rows || x >= columns) continue;
-            RESULT* const out = (RESULT*)volume_out.data + (((size_t)l * rows + y) * columns + x) * CO;
-            const size_t repeated = more ? ((size_t)(l / deep) * added.shape[1] + y / high) * added.shape[2] : 0;
+            if (y >= first + some || x >= columns) continue;
+            RESULT* const out = (RESULT*)volume_out.data + (((size_t)l * rows + place_of(y, rows)) * columns + x) * CO;
+            const int line = more ? place_of(y / high, added.shape[1]) : 0;
+            const size_t repeated = more ? ((size_t)(l / deep) * added.shape[1] + line) * added.shape[2] : 0;
             const STORED* const other = more + (more ? (repeated + x / apart) * CO : 0);
             #pragma unroll
             for (int n = 0; n < PARTS; ++n) {
@@ -127,21 +134,21 @@ void convolve_tiles(
 
 // Compute four channels of a voxel with each thread; weights are [KL, KY, KX, CI, PADDED].
 void convolve_voxels(
-    int tid, Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added,
-    Array3<Out> volume_out) {
+    int tid, Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added, int first, int some,
+    int height, int high, Array3<Out> volume_out) {
     constexpr int GROUPS = CO / 4;
-    const int labels = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
+    const int labels = volume.shape[0], held = volume.shape[1], width = volume.shape[2];
     const int rows = volume_out.shape[1], columns = volume_out.shape[2];
     const int voxel = tid / GROUPS, c = tid % GROUPS * 4;
-    if (voxel >= volume_out.shape[0] * rows * columns) return;
-    const int x = voxel % columns, y = voxel / columns % rows, l = voxel / columns / rows;
+    if (voxel >= volume_out.shape[0] * some * columns) return;
+    const int x = voxel % columns, y = first + voxel / columns % some, l = voxel / columns / some;
     const STORED* const from = (const STORED*)volume.data;
     float sums[4];
     for (int i = 0; i < 4; ++i) sums[i] = bias.data[c + i];
     for (int k = 0; k < KL * KY * KX; ++k) {
         const int tl = l * SL + k / KX / KY - KL / 2, ty = y * SY + k / KX % KY - KY / 2, tx = x * SX + k % KX - KX / 2;
         if (tl < 0 || tl >= labels || ty < 0 || ty >= height || tx < 0 || tx >= width) continue;
-        const STORED* const here = from + (((size_t)tl * height + ty) * width + tx) * CI;
+        const STORED* const here = from + (((size_t)tl * held + place_of(ty, held)) * width + tx) * CI;
         const float* const weight = weights.data + k * CI * PADDED + c;
         for (int j = 0; j < CI; ++j) {
             const float value = (float)here[j];
@@ -149,12 +156,13 @@ void convolve_voxels(
         }
     }
     if (added.data) {
-        const int ml = l / (volume_out.shape[0] / added.shape[0]), my = y / (rows / added.shape[1]);
+        const int ml = l / (volume_out.shape[0] / added.shape[0]), my = place_of(y / high, added.shape[1]);
         const int mx = x / (columns / added.shape[2]);
         const STORED* const other =
             (const STORED*)added.data + (((size_t)ml * added.shape[1] + my) * added.shape[2] + mx) * CO + c;
         for (int i = 0; i < 4; ++i) sums[i] += (float)other[i];
     }
-    RESULT* const out = (RESULT*)volume_out.data + (size_t)voxel * CO + c;
+    const size_t line = (size_t)l * rows + place_of(y, rows);
+    RESULT* const out = (RESULT*)volume_out.data + (line * columns + x) * CO + c;
     for (int i = 0; i < 4; ++i) out[i] = (RESULT)(RECTIFIED ? fmaxf(sums[i], 0.f) : sums[i]);
 }

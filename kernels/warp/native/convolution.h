@@ -7,10 +7,11 @@
 #pragma once
 #include "lfgpu.h"
 
-// Compute the rows [l, y] from `first` to before `last`; weights are [KL, KY, TAPS, CI, PADDED].
+// Compute some of the rows [l, y]: of these, in which y is one of `some` from `top` on, those from `first` to before
+// `last`. The volume has so much `height`; a row of `added` is for `high` rows. Weights are [KL, KY, TAPS, CI, PADDED].
 void convolve_rows(
-    Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added, int first, int last,
-    Array3<Out> volume_out) {
+    Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added, int top, int some, int height,
+    int high, int first, int last, Array3<Out> volume_out) {
     #pragma clang fp contract(fast)
 #ifdef __AVX512F__
     constexpr int LANES = 16, REGISTERS = 26;
@@ -23,7 +24,7 @@ void convolve_rows(
     constexpr int PLACES = PIXELS + SPREAD - 1;
     typedef float Lanes __attribute__((vector_size(4 * LANES), aligned(4)));
 
-    const int labels = volume.shape[0], height = volume.shape[1], width = volume.shape[2];
+    const int labels = volume.shape[0], held = volume.shape[1], width = volume.shape[2];
     const int rows = volume_out.shape[1], columns = volume_out.shape[2];
     const STORED* const from = (const STORED*)volume.data;
     const STORED* const more = (const STORED*)added.data;
@@ -31,13 +32,13 @@ void convolve_rows(
     float patch[KL * KY][NEEDED], results[PLACES][PARTS * LANES];
 
     for (int row = first; row < last; ++row) {
-        const int l = row / rows, y = row - l * rows;
+        const int l = row / some, y = top + row - l * some;
         const STORED* more_row = nullptr;
         int apart = 1;
         if (more) {
-            const int deep = volume_out.shape[0] / added.shape[0], high = rows / added.shape[1];
+            const int deep = volume_out.shape[0] / added.shape[0];
             apart = columns / added.shape[2];
-            more_row = more + ((size_t)(l / deep) * added.shape[1] + y / high) * added.shape[2] * CO;
+            more_row = more + ((size_t)(l / deep) * added.shape[1] + y / high % added.shape[1]) * added.shape[2] * CO;
         }
         for (int x = 0; x < columns; x += PIXELS) {
             const int left = x * SX - KX / 2;  // the first pixel that is needed
@@ -50,7 +51,7 @@ void convolve_rows(
                     for (int i = 0; i < NEEDED; ++i) part[i] = 0.f;
                     continue;
                 }
-                const STORED* const source = from + (((long long)tl * height + ty) * width + left) * CI;
+                const STORED* const source = from + (((long long)tl * held + ty % held) * width + left) * CI;
                 if (begin == 0 && end == NEEDED) {
                     for (int i = 0; i < NEEDED; ++i) part[i] = (float)source[i];
                 } else {
@@ -93,7 +94,7 @@ void convolve_rows(
                     const STORED* const other = more_row + (x + j) / apart * CO;
                     for (int c = 0; c < CO; ++c) result[c] += (float)other[c];
                 }
-                RESULT* const out = to + ((size_t)row * columns + x + j) * CO;
+                RESULT* const out = to + (((size_t)l * rows + y % rows) * columns + x + j) * CO;
                 for (int c = 0; c < CO; ++c) out[c] = (RESULT)(RECTIFIED && result[c] < 0.f ? 0.f : result[c]);
             }
         }

@@ -2,16 +2,17 @@
 #pragma once
 #include "lfgpu.h"
 
-// Find the peak of a pixel.
+// Find the peak of a pixel, of those from `first` on.
 void find_peak(
-    int tid, Array3<Logits> logits, Array2<float> start, float step, Array2<float> disparity_out,
+    int tid, Array3<Logits> logits, Array2<float> start, float step, int first, Array2<float> disparity_out,
     Array2<float> probability_out, Array2<float> deviation_out) {
     constexpr int NEAR = 2 * REACH + 1, PIXELS = FOLD * FOLD;
     const int labels = logits.shape[0], columns = logits.shape[2], width = start.shape[1];
-    const int p = tid, y = p / width, x = p - y * width;
+    const int p = first + tid, y = p / width, x = p - y * width;
     const size_t slice = (size_t)logits.shape[1] * columns * PIXELS;
+    const int row = y / FOLD % logits.shape[1];
     const STORED* const from =
-        (const STORED*)logits.data + ((size_t)(y / FOLD) * columns + x / FOLD) * PIXELS + y % FOLD * FOLD + x % FOLD;
+        (const STORED*)logits.data + ((size_t)row * columns + x / FOLD) * PIXELS + y % FOLD * FOLD + x % FOLD;
     float most = (float)from[0], total = 0.f;
     int best = 0;
     for (int l = 1; l < labels; ++l) {

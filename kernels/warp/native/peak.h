@@ -2,20 +2,20 @@
 #pragma once
 #include "exponential.h"
 
-// Find the peaks of the folded rows from `first` to before `last`, a chunk of pixels at a time.
+// Find the peaks of the folded rows from `first` to before `last` of those from `top` on, a chunk of pixels at a time.
 void find_peaks(
-    Array3<Logits> logits, Array2<float> start, float step, int first, int last, Array2<float> disparity_out,
-    Array2<float> probability_out, Array2<float> deviation_out) {
+    Array3<Logits> logits, Array2<float> start, float step, int top, int first, int last,
+    Array2<float> disparity_out, Array2<float> probability_out, Array2<float> deviation_out) {
     constexpr int PIXELS = FOLD * FOLD, CHUNK = 16 * PIXELS, NEAR = 2 * REACH + 1;
     const int labels = logits.shape[0], rows = logits.shape[1], columns = logits.shape[2];
     const int height = start.shape[0], width = start.shape[1];
     const size_t slice = (size_t)rows * columns * PIXELS;
     float most[CHUNK], total[CHUNK], near[NEAR][CHUNK], found[3][CHUNK];
     int best[CHUNK];
-    for (int row = first; row < last; ++row)
+    for (int row = top + first; row < top + last; ++row)
         for (int left = 0; left < columns; left += CHUNK / PIXELS) {
             const int pixels = columns - left < CHUNK / PIXELS ? (columns - left) * PIXELS : CHUNK;
-            const STORED* const from = (const STORED*)logits.data + ((size_t)row * columns + left) * PIXELS;
+            const STORED* const from = (const STORED*)logits.data + ((size_t)(row % rows) * columns + left) * PIXELS;
             for (int j = 0; j < CHUNK; ++j) {
                 most[j] = -INFINITY;
                 best[j] = 0;

@@ -2,20 +2,21 @@
 #pragma once
 #include "lfgpu.h"
 
-// Compute the costs of FOLD rows at a disparity with each block. Views hold their masks in the last channel.
+// Compute the costs of FOLD rows at a disparity with each block, from the folded row `top` on. Views hold their masks
+// in the last channel.
 void find_sector_costs(
     int tid, Array3<Kept> views, Array2<Pixel> image, Array1<int> order, Array1<int> begins, Array1<vec2f> offsets,
-    Array2<float> start, Array1<double> factor, float scale, float step, int label, Array3<Costs> costs_out) {
+    Array2<float> start, Array1<double> factor, float scale, float step, int top, Array3<Costs> costs_out) {
     constexpr int COSTS = 2 * SECTORS, ALL = FOLD * FOLD * COSTS, SIDE = BLOCK / FOLD;
     __shared__ STORED folded[SIDE / FOLD][ALL];
     const int height = image.shape[0], width = image.shape[1], rows = costs_out.shape[1], columns = costs_out.shape[2];
     const int thread = tid % BLOCK, block = tid / BLOCK, across = (columns * FOLD + SIDE - 1) / SIDE;
     const int labels = costs_out.shape[0], place = block / labels, l = block - place * labels;  // these see the same
-    const int folded_y = place / across;
+    const int folded_y = top + place / across;
     const int i = thread / SIDE, j = thread % SIDE, left = place % across * SIDE;
     const int y = min(FOLD * folded_y + i, height - 1), x = min(left + j, width - 1), p = y * width + x;
     const float gain = (float)factor.data[0], stored_gain = gain * scale;
-    const float disparity = start.data[p] + (float)(label + l) * step;
+    const float disparity = start.data[p] + (float)l * step;
     const WORDS* const pixels = (const WORDS*)views.data;
     float reference[CHANNELS], costs[COSTS], sum_single = 0.f, sum_common = 0.f, sectors = 0.f;
     bool there[SECTORS];
@@ -83,6 +84,7 @@ void find_sector_costs(
     }
     __syncthreads();
     const int some = min(SIDE, columns * FOLD - left) / FOLD * ALL;
-    STORED* const out = (STORED*)costs_out.data + (((size_t)l * rows + folded_y) * columns + left / FOLD) * ALL;
+    const size_t line = (size_t)l * rows + folded_y % rows;
+    STORED* const out = (STORED*)costs_out.data + (line * columns + left / FOLD) * ALL;
     for (int k = thread; k < some; k += BLOCK) out[k] = folded[0][k];
 }

@@ -5,11 +5,11 @@
 #pragma once
 #include "exponential.h"
 
-// Compute the folded rows [y, l] from `first` to before `last`. The places and numbers of views are in the order of
-// sectors, of which s begins at begins[s].
+// Compute the folded rows [y, l] from `first` to before `last`, y from `top` on. The places and numbers of views are in
+// the order of sectors, of which s begins at begins[s].
 void find_sector_costs(
     Array4<Kept> views, Array2<Pixel> image, Array3<float> valid, Array1<int> order, Array1<int> begins,
-    Array1<vec2f> offsets, Array2<float> start, Array1<double> factor, float scale, float step, int label, int first,
+    Array1<vec2f> offsets, Array2<float> start, Array1<double> factor, float scale, float step, int top, int first,
     int last, Array3<Costs> costs_out) {
     constexpr int COSTS = 2 * SECTORS, ALL = FOLD * FOLD * COSTS;
     const int height = image.shape[0], width = image.shape[1];
@@ -120,7 +120,7 @@ void find_sector_costs(
     auto find_costs = [&](int l, int i, int x, int y, int pixels) {
         bool alike = true;
         for (int j = 0; j < pixels; ++j) {
-            disparity[j] = start.data[(size_t)y * width + x + j] + (float)(label + l) * step;
+            disparity[j] = start.data[(size_t)y * width + x + j] + (float)l * step;
             alike = alike && disparity[j] == disparity[0];
             for (int c = 0; c < CHANNELS; ++c)
                 reference[c][j] = gain * image.data[(size_t)y * width + x + j].c[c];
@@ -159,7 +159,7 @@ void find_sector_costs(
     };
 
     for (int row = first; row < last; ++row) {
-        const int folded_y = row / labels, l = row - folded_y * labels;  // all disparities see about the same pixels
+        const int l = row % labels, folded_y = top + row / labels;  // all disparities see about the same pixels
         for (int left = 0; left < FOLD * columns; left += CHUNK) {
             const int x = left < width ? left : width - 1, pixels = width - x < CHUNK ? width - x : CHUNK;
             for (int i = 0; i < FOLD; ++i) {
@@ -167,7 +167,7 @@ void find_sector_costs(
                 find_costs(l, i, x, y < height ? y : height - 1, pixels);
             }
             const int some = columns - left / FOLD < CHUNK / FOLD ? columns - left / FOLD : CHUNK / FOLD;
-            STORED* const out = to + (((size_t)l * rows + folded_y) * columns + left / FOLD) * ALL;
+            STORED* const out = to + (((size_t)l * rows + folded_y % rows) * columns + left / FOLD) * ALL;
             for (int j = 0; j < some; ++j)
                 #pragma unroll
                 for (int c = 0; c < COSTS * FOLD; ++c)

@@ -22,7 +22,7 @@ from lfgpu.methods.matching.completion import Completion
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.learned import checked_weights, read_file
 from lfgpu.methods.matching.passes import Sweeps
-from lfgpu.methods.matching.unet import PIXELS, Layers, UNet, Weights, level_layers, stored_type, widths_of
+from lfgpu.methods.matching.unet import PIXELS, STORED, Layer, Layers, Source, UNet, Weights, level_layers, widths_of
 
 BUILT_IN = Path(__file__).with_name("choice.npz")
 """The file of the weights of the choice."""
@@ -57,20 +57,26 @@ def _built_in() -> Weights:
 
 
 class Choice:
-    """The network that chooses, a U-Net over the pixels of images [y, x, c], with all memory allocated."""
+    """The network that chooses, a U-Net over the pixels of images [y, x, c], with all memory allocated.
 
-    def __init__(self, arena: Arena, weights: Weights, size: tuple[int, int]) -> None:
+    Its volumes are `stored` as float16 or float32.
+    """
+
+    def __init__(self, arena: Arena, weights: Weights, size: tuple[int, int], *, stored: type = STORED) -> None:
         self._kernels = arena.kernels
         self._net = UNet(arena, weights, strides=_STRIDES, linear=(".coarse", "image.0", "decisions"))
-        shape = 1, *(-(-side // PIXELS) * PIXELS // FOLD for side in size)
-        stored = stored_type(arena)
+        rows, columns = (-(-side // PIXELS) * PIXELS // FOLD for side in size)
+        shape = 1, rows, columns
         with arena.scratch() as scratch:
             self.image, self.features = (
                 scratch.image((*shape, channels * FOLD**2), stored) for channels in (4, COMPARED)
             )
-            width = len(weights["features.0.bias"])
-            self._seen, self._mixed = (scratch.image((*shape, width), stored) for _ in range(2))
-            self._begin = self._net.allocate(scratch, shape, stored)
+            width, names = len(weights["features.0.bias"]), ("image.0", "features.0")
+            before = [Layer(names[0], rows), Layer(names[1], rows, (Source(names[0]),))]
+            before.append(Layer("features.2", rows, (Source(names[1]),)))
+            after = [Layer("decisions", rows, (Source("back0", 1),))]
+            held = self._net.allocate(scratch, shape, stored, before=before, after=after)
+            self._seen, self._mixed = (scratch.image((1, held[name], columns, width), stored) for name in names)
             self._decisions = scratch.image((*shape, DECISIONS * FOLD**2), np.float32)
 
     def see(
@@ -83,11 +89,15 @@ class Choice:
 
     def __call__(self) -> Array:
         """Find the decisions of `KernelSet.choose`."""
-        run = self._net.parts
-        run["image.0"](self.image, None, self._seen)
-        run["features.0"](self.features, self._seen, self._mixed)
-        run["features.2"](self._mixed, None, self._begin)
-        run["decisions"](self._net.through(), None, self._decisions)
+        run, net = self._net.parts, self._net
+        net.through(
+            {
+                "image.0": lambda rows: run["image.0"](self.image, None, self._seen, rows=rows),
+                "features.0": lambda rows: run["features.0"](self.features, self._seen, self._mixed, rows=rows),
+                "features.2": lambda rows: run["features.2"](self._mixed, None, net.begin, rows=rows),
+                "decisions": lambda rows: run["decisions"](net.found, None, self._decisions, rows=rows),
+            }
+        )
         return self._decisions
 
 
@@ -144,6 +154,7 @@ class SecondMap:
         network = self._second.aggregation
         assert isinstance(network, Learned)
         self._sweeps.find(self._second, None, self._matched)
+        completion.restore_prior()
         alignment.run(self._matched, network.variance, self.map, self._steps, None)
         completion.fill(self.map, alignment.curvature)
         self._sweeps.judge(self._sweeps.last, self.first, unhidden, confidence_out)

@@ -112,6 +112,7 @@ class Completion:
     def __init__(self, frame: Frame, *, keeps_prior: bool) -> None:
         arena, config, farthest, tuning = frame.arena, frame.config, frame.layout.farthest, frame.config.tuning
         self._kernels, self._image, self._bounds = frame.kernels, frame.image, (frame.low, frame.high)
+        self._prior, self._keeps_prior = frame.prior, keeps_prior
         self._boundaries = Boundaries(
             arena,
             tuning.boundaries,
@@ -145,6 +146,11 @@ class Completion:
         """Complete an aligned map [y, x] with the curvature [y, x] of the alignment, which may change."""
         self._boundaries.run(self._image, aligned, disparity_out)
         self.fill(disparity_out, curvature)
+
+    def restore_prior(self) -> None:
+        """Compute the weights of like pixels again if a filling has overwritten them."""
+        if not self._keeps_prior:
+            self._prior.load(self._image)
 
     def fill(self, disparity: Array, curvature: Array) -> None:
         """Fill the surfaces without texture of a map [y, x] in place; the curvature [y, x] may change."""

@@ -15,14 +15,26 @@ from pathlib import Path
 
 import numpy as np
 
-from lfgpu.contract import COSTS, FOLD, Array, Float32Array, Scalar
+from lfgpu.contract import COSTS, FOLD, Array, Float32Array, Rows, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.arena import Arena, Scratch
-from lfgpu.methods.matching.unet import PIXELS, Layers, Shape, UNet, Weights, level_layers, stored_type, widths_of
+from lfgpu.methods.matching.unet import (
+    PIXELS,
+    STORED,
+    Layer,
+    Layers,
+    Shape,
+    Source,
+    UNet,
+    Weights,
+    level_layers,
+    widths_of,
+)
 
 _STRIDES = {1: (1, 2, 2), 2: (2, 2, 2), 3: (2, 2, 2), 4: (1, 2, 2)}
-_TOGETHER = {"cpu": 4, "gpu": 16}  # disparities whose costs are in memory at the same time, at most
+_TOGETHER = 16  # disparities of whole images whose costs a GPU keeps at the same time, or as many numbers
+_ROWS = 8  # folded, whose costs a CPU keeps at the same time
 _GREY = 0.4  # intensity of pixels that are not valid: the mean that images are brought to
 DISPARITIES = 4
 """The network works on as many disparities as are a multiple of this."""
@@ -152,11 +164,11 @@ class Network:
     count
         The number of disparities, a multiple of `DISPARITIES`.
     stored
-        The type of volumes, float16 or float32. Default: float16 on a GPU, else float32.
+        The type of volumes, float16 or float32. Default: float16.
     """
 
     def __init__(
-        self, arena: Arena, weights: Weights, layout: ViewLayout, count: int, *, stored: type | None = None
+        self, arena: Arena, weights: Weights, layout: ViewLayout, count: int, *, stored: type = STORED
     ) -> None:
         assert count % DISPARITIES == 0
         self._kernels, self._device, self._layout, self._count = arena.kernels, arena.device, layout, count
@@ -171,7 +183,7 @@ class Network:
         self.factor: Scalar = self._device.scalar(1.0)
         """The factor that brings this image to the brightness of training."""
         with arena.scratch() as scratch:
-            self._allocate(scratch, weights, stored or stored_type(arena))
+            self._allocate(scratch, weights, stored)
 
     def _allocate(self, scratch: Scratch, weights: Weights, stored: type) -> None:
         rows, columns = (-(-side // PIXELS) * PIXELS // FOLD for side in self._layout.size)
@@ -180,14 +192,18 @@ class Network:
         def volume(size: Shape, channels: int) -> Array:
             return scratch.image((*size, channels), stored)
 
-        self._folded = volume((1, *shape[1:]), 4 * FOLD**2)
-        self._begin = self._net.allocate(scratch, shape, stored)
-        self._seen, self._shown = (volume((1, *shape[1:]), len(weights["image.2.bias"])) for _ in range(2))
-        most = _TOGETHER["gpu" if self._device.is_gpu else "cpu"]
-        self._together = max(some for some in range(DISPARITIES, most + 1, DISPARITIES) if self._count % some == 0)
-        some = self._together, *shape[1:]
+        self._folded = volume((1, rows, columns), 4 * FOLD**2)
+        before = [Layer("image.0", rows)]
+        before += [Layer("image.2", rows, (Source("image.0", 1),)), Layer("begin", rows, (Source("image.2"),))]
+        after = Layer("logits", rows, (Source("back0", 1),)), Layer("peak", rows, (Source("logits"),))
+        held = self._net.allocate(scratch, shape, stored, before=before, after=after)
+        width = len(weights["image.2.bias"])
+        self._seen, self._shown = (volume((1, held[name], columns), width) for name in ("image.0", "image.2"))
+        together = max(1, rows * _TOGETHER // self._count) if self._device.is_gpu else _ROWS
+        some = self._count, min(held["begin"], together), columns
         self._costs, self._mixed = volume(some, COSTS * FOLD**2), volume(some, weights["sectors.0.bias"].size)
-        self._logits = scratch.image((*shape, FOLD**2), np.float32)  # differences of these count
+        # Differences of these count.
+        self._logits = scratch.image((self._count, held["logits"], columns, FOLD**2), np.float32)
 
     def load(self, views: Array, valid: Array | None) -> None:
         """Take views [n, y, x, c] as stored, and their masks [n, y, x] or None."""
@@ -204,21 +220,24 @@ class Network:
         All outputs are fields [y, x]: the disparity, the probability that it is near the truth, and the standard
         deviation there.
         """
-        run = self.parts
+        run, net = self.parts, self._net
         run["fold"](self.image, self.factor, folded_out=self._folded)
-        run["image.0"](self._folded, None, self._seen)
-        run["image.2"](self._seen, None, self._shown)
-        for label in range(0, self._count, self._together):
-            run["costs"](first, self.factor, self._costs, step=step, label=label)
-            run["sectors.0"](self._costs, None, self._mixed)
-            run["sectors.2"](self._mixed, self._shown, self._begin, at=label)
-        found = self._net.through()
-        run["logits"](found, None, self._logits)
-        run["peak"](
-            self._logits,
-            first,
-            step=step,
-            disparity_out=disparity_out,
-            probability_out=probability_out,
-            deviation_out=deviation_out,
+        maps = {"disparity_out": disparity_out, "probability_out": probability_out, "deviation_out": deviation_out}
+
+        def begin(rows: Rows) -> None:
+            most = self._costs.shape[1]
+            for row in range(rows.first, rows.last, most):
+                some = Rows(row, min(row + most, rows.last), rows.all)
+                run["costs"](first, self.factor, self._costs, step=step, rows=some)
+                run["sectors.0"](self._costs, None, self._mixed, rows=some)
+                run["sectors.2"](self._mixed, self._shown, net.begin, rows=some)
+
+        net.through(
+            {
+                "image.0": lambda rows: run["image.0"](self._folded, None, self._seen, rows=rows),
+                "image.2": lambda rows: run["image.2"](self._seen, None, self._shown, rows=rows),
+                "begin": begin,
+                "logits": lambda rows: run["logits"](net.found, None, self._logits, rows=rows),
+                "peak": lambda rows: run["peak"](self._logits, first, step=step, rows=rows, **maps),
+            },
         )

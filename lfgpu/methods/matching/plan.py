@@ -56,7 +56,8 @@ class MatchingPlan:
         )
         self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
         are_two = self._sweeps.second is not None
-        self._completion = Completion(frame, keeps_prior=self.is_live or are_two)
+        # A CPU computes the weights of like pixels again for the second map: they are quickly found, and large.
+        self._completion = Completion(frame, keeps_prior=self.is_live or (are_two and device.is_gpu))
         self.second = SecondMap(frame, self._sweeps) if are_two else None
         """The second map, if the table of sweeps has one."""
         self._put_unknown = frame.known.putting(np.nan)
