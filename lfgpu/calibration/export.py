@@ -132,21 +132,16 @@ def _maps(
 def _points(lf: LightField, maps: dict[int, DisparityMap]) -> tuple[Float32Array, NDArray[np.uint8]]:
     pixels = len(maps) * lf.size[0] * lf.size[1]
     step = max(1, int(np.ceil(np.sqrt(pixels / POINTS))))
-    points, colors = [], []
-    problem = None
+    clouds, problem = [], None
     for n, one in maps.items():
         try:
-            cloud = point_cloud(one, image=_bytes(lf, n), least_confidence=_SURE, step=step)
+            clouds.append(point_cloud(one, image=_bytes(lf, n), least_confidence=_SURE, step=step))
         except LightFieldError as error:  # nothing of this view is sure
             problem = error
-            continue
-        assert cloud.colors is not None
-        points.append(cloud.points)
-        colors.append(cloud.colors)
-    if not points:
-        assert problem is not None
+    if problem is not None and not clouds:
         raise problem
-    return np.concatenate(points), np.concatenate(colors)
+    colors = [cloud.colors for cloud in clouds if cloud.colors is not None]
+    return np.concatenate([cloud.points for cloud in clouds]), np.concatenate(colors)
 
 
 def _bytes(lf: LightField, index: int) -> NDArray[Any]:

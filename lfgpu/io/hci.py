@@ -117,17 +117,16 @@ class Parameters:
         return int(value)
 
 
-def write_parameters(
-    path: Path, *, grid_shape: tuple[int, int], size: tuple[int, int], geometry: Geometry | None, scene: str
-) -> None:
+def _write_parameters(path: Path, light_field: LightField) -> None:
     """Write a parameters.cfg that `Parameters` reads back to the same grid and geometry.
 
     What the benchmark does not know (a principal point off the middle, pixels that are not square, a camera other than
     the middle one whose frame is not shifted) goes into keys of our own that others ignore.
     """
     config = configparser.ConfigParser(interpolation=None)
+    size, (rows, columns), geometry = light_field.size, light_field.grid_shape or (0, 0), light_field.geometry
     intrinsics = {"image_resolution_x_px": size[1], "image_resolution_y_px": size[0]}
-    extrinsics: dict[str, float] = {"num_cams_x": grid_shape[1], "num_cams_y": grid_shape[0]}
+    extrinsics: dict[str, float] = {"num_cams_x": columns, "num_cams_y": rows}
     lengths: dict[str, float] = {}
     if geometry is not None:
         lengths["focal_length_mm"] = geometry.focal_length_px * _SENSOR_SIZE_MM / max(size)
@@ -140,9 +139,8 @@ def write_parameters(
             lengths["pixel_aspect"] = geometry.pixel_aspect
         if geometry.unshifted_at is not None:
             extrinsics["unshifted_cam_x"], extrinsics["unshifted_cam_y"] = geometry.unshifted_at
-    config.read_dict(
-        {"intrinsics": intrinsics | lengths, "extrinsics": extrinsics, "meta": {"scene": " ".join(scene.split())}}
-    )
+    meta = {"scene": " ".join(light_field.name.split())}
+    config.read_dict({"intrinsics": intrinsics | lengths, "extrinsics": extrinsics, "meta": meta})
     with path.open("w", encoding="utf-8") as file:
         config.write(file)
 
@@ -211,13 +209,7 @@ def write_hci(light_field: LightField, folder: str | os.PathLike[str]) -> tuple[
     with atomic_folder(folder) as place:
         for view, (u, v) in zip(light_field.views, light_field.positions, strict=True):
             write_png(place / f"input_Cam{round(v) * columns + round(u):03d}.png", view)
-        write_parameters(
-            place / PARAMETERS_FILE,
-            grid_shape=shape,
-            size=light_field.size,
-            geometry=light_field.geometry,
-            scene=light_field.name,
-        )
+        _write_parameters(place / PARAMETERS_FILE, light_field)
         if truth is not None:
             _write_truth(place, truth, light_field.geometry)
         check_no_others(folder, {file.name for file in place.iterdir()}, _OURS)
