@@ -97,7 +97,10 @@ def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
             f"{path} was written by a later version of lfgpu, or by a method that this one does not have; "
             "the maps beside it, such as disparity.pfm, can still be read."
         )
-    _check_maps(path, result)
+    maps = {"disparity": result.disparity, "confidence": result.confidence, "uncertainty": result.uncertainty}
+    _check(
+        path, maps | result.stages, np.float32, (*result.disparity.shape, 0, 0)[:2]
+    )  # which no other than [y, x] has
     return result
 
 
@@ -199,32 +202,23 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
     )
 
 
-def _check_maps(path: Path, result: DepthResult) -> None:
-    maps = {"disparity": result.disparity, "confidence": result.confidence, **result.stages}
-    if result.uncertainty is not None:
-        maps["uncertainty"] = result.uncertainty
-    for name, values in maps.items():
-        if values.dtype != np.float32 or values.ndim != 2 or values.shape != result.disparity.shape:
+def _check(
+    path: Path, arrays: Mapping[str, NDArray[Any] | None], dtype: type[np.generic], shape: tuple[int, ...]
+) -> None:
+    """Raise LightFieldError unless arrays, as far as they are there, have a type and a shape."""
+    for name, values in arrays.items():
+        if values is not None and (values.dtype != dtype or values.shape != shape):
             raise LightFieldError(
                 f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
-                "not float32 [y, x] like the others."
+                f"not {np.dtype(dtype)} {shape}."
             )
 
 
 def _check_views(path: Path, result: ViewsResult) -> None:
     count = result.disparities.shape[0] if result.disparities.ndim else 0
-    maps = (count, *result.reference.disparity.shape)
-    wanted: dict[str, tuple[NDArray[Any], type[np.generic], tuple[int, ...]]] = {
-        "disparities": (result.disparities, np.float32, maps),
-        "confidences": (result.confidences, np.float32, maps),
-        "positions": (result.positions, np.float64, (count, 2)),
-    }
-    for name, (values, dtype, shape) in wanted.items():
-        if values.dtype != dtype or values.shape != shape:
-            raise LightFieldError(
-                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
-                f"not {np.dtype(dtype)} {shape}."
-            )
+    maps = {"disparities": result.disparities, "confidences": result.confidences}
+    _check(path, maps, np.float32, (count, *result.reference.disparity.shape))
+    _check(path, {"positions": result.positions}, np.float64, (count, 2))
     if not np.isfinite(result.positions).all():
         raise LightFieldError(f"{path} is a damaged result of lfgpu: positions are not finite.")
     if not all(0 <= key < count for key in result.keys):
