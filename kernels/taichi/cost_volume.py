@@ -4,8 +4,9 @@ import taichi as ti
 
 from lfgpu.contract import REDUCTION
 
+from .landing import inside
 from .memory import DeviceArray, flat, operation, scratch
-from .nlm import inside, step_after, step_of
+from .nlm import step_after, step_of
 from .runtime import TASK, on_cpu, run
 
 _SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
@@ -80,15 +81,12 @@ def _pixels_kernel(
             sums[s] = volume[slices[s]]
         step = step_of(0, radius)
         for k in range(weights.shape[0] // size):
-            away = step[1] * width + step[0]
-            if inside(x + step[0], y + step[1], height, width):
-                weight = weights[k * size + p]
-                for s in ti.static(range(_SLICES)):
-                    sums[s] += weight * volume[slices[s] + away]
-            if inside(x - step[0], y - step[1], height, width):
-                weight = weights[k * size + p - away]
-                for s in ti.static(range(_SLICES)):
-                    sums[s] += weight * volume[slices[s] - away]
+            for sign in ti.static((1, -1)):
+                if inside(x + sign * step[0], y + sign * step[1], height, width):
+                    away = sign * (step[1] * width + step[0])
+                    weight = weights[k * size + p + ti.min(away, 0)]
+                    for s in ti.static(range(_SLICES)):
+                        sums[s] += weight * volume[slices[s] + away]
             step = step_after(step, radius)
         for s in ti.static(range(_SLICES)):
             if first + s < last:

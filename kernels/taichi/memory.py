@@ -77,6 +77,12 @@ def table(values: NDArray[Any]) -> DeviceArray:
 
 
 @once
+def indices(values: tuple[int, ...]) -> DeviceArray:
+    """Return whole numbers."""
+    return _filled(empty((len(values),), scalar=ti.i32), np.array(values, np.int32))
+
+
+@once
 def one() -> DeviceArray:
     """Return the number 1."""
     return doubles(np.ones(1))

@@ -8,13 +8,9 @@ import taichi as ti
 
 from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
+from .landing import inside
 from .memory import DeviceArray, empty, flat, optional
 from .runtime import TASK, on_cpu, once, run, start
-
-
-@ti.func
-def inside(x: int, y: int, height: int, width: int):
-    return x >= 0 and x < width and y >= 0 and y < height
 
 
 @ti.func
@@ -201,11 +197,10 @@ def _operator(flow: Any, keep: float) -> SimpleNamespace:
             total = begun(values, diagonal, has_diagonal, p)
             step = step_of(0, radius)
             for k in range(weights.shape[0] // size):
-                q = step[1] * width + step[0]
-                if inside(x + step[0], y + step[1], height, width):
-                    total += flow(weights[k * size + p], values[p], values[p + q])
-                if inside(x - step[0], y - step[1], height, width):
-                    total += flow(weights[k * size + p - q], values[p], values[p - q])
+                for sign in ti.static((1, -1)):
+                    if inside(x + sign * step[0], y + sign * step[1], height, width):
+                        q = p + sign * (step[1] * width + step[0])
+                        total += flow(weights[k * size + ti.min(p, q)], values[p], values[q])
                 step = step_after(step, radius)
             sums_out[p] = total
 

@@ -2,8 +2,9 @@
 
 import taichi as ti
 
+from .landing import inside
 from .memory import flat, operation
-from .nlm import inside, step_after, step_of
+from .nlm import step_after, step_of
 
 
 @ti.func
@@ -35,15 +36,12 @@ def nlm_ratio(
         below = denominator[p] + floor
         step = step_of(0, window // 2)
         for k in range(weights.shape[0] // size):
-            q = step[1] * width + step[0]
-            if inside(x + step[0], y + step[1], height, width):
-                v = _shared(weights[k * size + p], guide[p + q] - here, support)
-                above += v * numerator[p + q]
-                below += v * (denominator[p + q] + floor)
-            if inside(x - step[0], y - step[1], height, width):
-                v = _shared(weights[k * size + p - q], guide[p - q] - here, support)
-                above += v * numerator[p - q]
-                below += v * (denominator[p - q] + floor)
+            for sign in ti.static((1, -1)):
+                if inside(x + sign * step[0], y + sign * step[1], height, width):
+                    q = p + sign * (step[1] * width + step[0])
+                    v = _shared(weights[k * size + ti.min(p, q)], guide[q] - here, support)
+                    above += v * numerator[q]
+                    below += v * (denominator[q] + floor)
             step = step_after(step, window // 2)
         ratio_out[p] = above / below
 
@@ -74,15 +72,14 @@ def nlm_plane(
         sums = _moments(certainty[p], 0.0, 0, 0)
         step = step_of(0, window // 2)
         for k in range(weights.shape[0] // size):
-            q = step[1] * width + step[0]
-            if inside(p % width + step[0], p // width + step[1], height, width):
-                apart = values[p + q] - here
-                u = _shared(weights[k * size + p], apart, support) * certainty[p + q]
-                sums += _moments(u, apart, step[0], step[1])
-            if inside(p % width - step[0], p // width - step[1], height, width):
-                apart = values[p - q] - here
-                u = _shared(weights[k * size + p - q], apart, support) * certainty[p - q]
-                sums += _moments(u, apart, -step[0], -step[1])
+            for sign in ti.static((1, -1)):
+                x = sign * step[0]
+                y = sign * step[1]
+                if inside(p % width + x, p // width + y, height, width):
+                    q = p + y * width + x
+                    apart = values[q] - here
+                    u = _shared(weights[k * size + ti.min(p, q)], apart, support) * certainty[q]
+                    sums += _moments(u, apart, x, y)
             step = step_after(step, window // 2)
         means = sums / sums[0]
         x = means[1]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
-from .memory import DeviceArray, empty, flat, optional, upload
+from .memory import DeviceArray, empty, flat, indices, optional, upload
 from .plane_sweep import shift_of, within
 from .runtime import double, once, run, start
 
@@ -92,13 +92,6 @@ def _details_kernel(
         details_out[p] = images[p] - total / ti.max(count, 1.0)
 
 
-@once
-def _line(line: tuple[int, ...]) -> DeviceArray:
-    indices = empty((len(line),), scalar=ti.i32)
-    upload(np.array(line), indices)
-    return indices
-
-
 def shrink(
     views: DeviceArray,
     chosen: Sequence[int],
@@ -109,7 +102,7 @@ def shrink(
     images_out: DeviceArray,
 ) -> None:
     kernel = _shrink_kernel(views.channels, views.scalar, valid is not None)
-    line, (mask, _) = _line(tuple(int(index) for index in chosen)), optional(valid)
+    line, (mask, _) = indices(tuple(int(index) for index in chosen)), optional(valid)
     run(kernel, views, line, mask, scale, factor, *views.shape[1:], images_out)
 
 

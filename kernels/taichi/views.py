@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import taichi as ti
 
-from .memory import DeviceArray, empty, field, flat, operation, optional, table
+from .memory import DeviceArray, empty, field, flat, indices, operation, optional
 from .runtime import on_cpu, once, run, start
 
 _TRUNCATE = 2.5  # Gaussians end after as many standard deviations
@@ -52,7 +52,7 @@ def _line_kernel(channels: int, stored: Any) -> Any:
     @ti.kernel
     def line_kernel(
         views: views_type,
-        line: flat(),
+        line: flat(ti.i32),
         rows: int,
         columns: int,
         height: int,
@@ -68,7 +68,7 @@ def _line_kernel(channels: int, stored: Any) -> Any:
             x = i % width
             if vertical == 1:
                 y, x = x, y
-            epis_out[i] = views[(ti.cast(line[i // (height * width)], ti.i32) * rows + y + top) * columns + x + left]
+            epis_out[i] = views[(line[i // (height * width)] * rows + y + top) * columns + x + left]
 
     return line_kernel
 
@@ -82,12 +82,7 @@ def line_of_views(
     corner: tuple[int, int] = (0, 0),
 ) -> None:
     kernel = _line_kernel(views.channels, views.scalar)
-    run(kernel, views, _line(tuple(line)), *views.shape[1:], *epis_out.shape[1:], int(vertical), *corner, epis_out)
-
-
-@once
-def _line(line: tuple[int, ...]) -> DeviceArray:
-    return table(np.array(line))
+    run(kernel, views, indices(tuple(line)), *views.shape[1:], *epis_out.shape[1:], int(vertical), *corner, epis_out)
 
 
 @ti.func
