@@ -22,6 +22,7 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.methods.measured import Measured
+from lfgpu.metrics import evaluate
 
 STEP = MatchingConfig().sweep.step / 2  # pixels per view step between disparities, in a grid of 5 x 5 views
 
@@ -68,6 +69,25 @@ def test_the_second_pixel_of_a_blurred_outline_goes_only_if_that_is_clear(share:
     boundaries.run(device.image(np.sqrt(light)), device.field(matched), out)
     want = np.where(np.arange(10) >= (5 if goes else 4), 1.0, -1.0) * np.ones((9, 1))
     np.testing.assert_allclose(device.kernels.numpy(out), want, atol=1e-6)
+
+
+def test_a_turned_surface_has_no_depth_edges() -> None:
+    """The floor and the sides of boxes change by more than a pixel in the farthest view from one pixel to the next."""
+    lf = scenes.make("boxes", seed=3, grid=(9, 9), size=(96, 96), disparity_range=(-8.0, 8.0))
+    result = estimate_depth(lf, disparity_range=(-8.0, 8.0), config="accurate", device="cpu", check_cameras=False)
+    aligned, finished = (
+        evaluate(map_, lf.reference_truth().disparity).badpix_07 for map_ in (result.stages["align"], result.disparity)
+    )
+    assert finished < 1.3 * aligned
+
+
+def test_where_a_depth_edge_begins_depends_on_the_range_only_if_that_is_wide() -> None:
+    """A plan goes on with another narrow range, and not with another wide one."""
+    lf = scenes.make("boxes", grid=(5, 5), size=(48, 48))
+    device = Device(load("warp"), "cpu")
+    for bounds, others, goes_on in (((-1.0, 1.0), (-1.01, 0.99), True), ((-15.0, 15.0), (-15.01, 15.0), False)):
+        plan = MatchingPlan(lf.layout, Measured(bounds, 0.004, None), MatchingConfig(), device)
+        assert plan.follow(Measured(others, 0.004, None)) == goes_on
 
 
 COUNT, STEEP, SIDE = 41, 0.1, 48

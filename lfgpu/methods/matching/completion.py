@@ -47,6 +47,15 @@ class Boundaries:
         )
 
 
+def depth_step(frame: Frame, bounds: tuple[float, float]) -> float:
+    """Return the difference between adjacent pixels beyond which they lie at a depth edge, pixels per view step.
+
+    It is `boundaries.step` in the farthest view; in wide ranges more, or turned surfaces would consist of depth edges.
+    """
+    tuning, (low, high) = frame.config.tuning.boundaries, bounds
+    return max(tuning.step / frame.reach, (high - low) / tuning.turned)
+
+
 _LEAST, _MOST = 1e-5, 1e3  # range of a pixel's own weight, in units of the weights between pixels
 
 
@@ -113,11 +122,13 @@ class Completion:
         arena, config, farthest, tuning = frame.arena, frame.config, frame.layout.farthest, frame.config.tuning
         self._kernels, self._image, self._bounds = frame.kernels, frame.image, (frame.low, frame.high)
         self._prior, self._keeps_prior = frame.prior, keeps_prior
+        step = depth_step(frame, frame.bounds)
+        frame.fits.append(lambda bounds: depth_step(frame, bounds) == step)
         self._boundaries = Boundaries(
             arena,
             tuning.boundaries,
             frame.size,
-            step=tuning.boundaries.step / frame.reach,
+            step=step,
             contrast=lambda: frame.config.boundaries.contrast,
         )
 

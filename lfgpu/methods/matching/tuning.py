@@ -153,6 +153,10 @@ class BoundariesTuning:
         0.84, FARTHEST, "Between adjacent pixels whose disparities differ by more there is a depth edge.",
         ablation="outlines: only where surfaces hide each other",
     )  # fmt: skip
+    turned: float = tuned(
+        40.0, PIXELS, "A surface that goes through the whole range over so many pixels or more is turned, and its "
+        "pixels lie at no depth edge, however much the farthest view shows them apart."
+    )  # fmt: skip
     share: float = tuned(0.5, "", "A pixel with a smaller share of the nearer side's colour goes to the farther side.")
     second_share: float = tuned(0.6, "share", "The same for the second pixel of a blurred outline.")
     second_contrast: float = tuned(4.0, "contrast", "contrast for that pixel: only a clear mixture counts.")
@@ -207,14 +211,19 @@ LEARNED = MatchingTuning("learned", sweep=replace(ACCURATE.sweep, first_views="a
 SUREST = replace(FAST, name="surest", alignment=ACCURATE.alignment, passes="both")
 
 
+_DIFFER = 3.0  # times as much as elsewhere, in wide ranges
+
+
 def in_wide_ranges(tuning: MatchingTuning) -> MatchingTuning:
     """Return the numbers for ranges so wide that sweeps compare views near the reference only.
 
-    There surfaces turn so far between the views that gradients are not alike, and neighbours neither in disparity.
+    There surfaces turn so far between the views that gradients are not alike, and intensities less. What holds a pixel
+    when holes are filled stays the same.
     """
+    alignment, prior, filling = tuning.alignment, tuning.prior, tuning.hole_filling
     return replace(
         tuning,
-        prior=replace(tuning.prior, sigma_color=0.1),
-        alignment=replace(tuning.alignment, gradient_weight=0.0, robust=0.03, support=0.3),
-        hole_filling=replace(tuning.hole_filling, stiffness=0.002),
+        prior=replace(prior, sigma_color=_DIFFER * prior.sigma_color),
+        alignment=replace(alignment, gradient_weight=0.0, robust=_DIFFER * alignment.robust),
+        hole_filling=replace(filling, stiffness=filling.stiffness / _DIFFER**2),
     )
