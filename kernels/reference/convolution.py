@@ -26,27 +26,29 @@ class Convolution:
         self._strides, self._rectified = strides, rectified
 
     def __call__(self, volume: Array, added: Array | None, volume_out: Array, *, rows: Rows | None = None) -> None:
-        labels, held, columns = volume_out.shape[:3]
-        height = volume.shape[1] if rows is None else rows.all * self._strides[1]
-        lines = np.arange(held) if rows is None else np.arange(rows.first, rows.last)
-        sums = np.zeros((labels, len(lines), columns, 1)) + self._bias
-        for weights, shifted in self._taps(volume, lines, height):
+        if rows is not None:  # those that are not there are of no use to these
+            volume = volume[:, np.arange(rows.all * self._strides[1]) % volume.shape[1]]
+        size = [-(-length // stride) for length, stride in zip(volume.shape, self._strides, strict=False)]
+        sums = np.zeros((*size, 1)) + self._bias
+        for weights, shifted in self._taps(volume):
             sums += shifted @ weights
         if added is not None:
-            high = held // added.shape[1] if rows is None else columns // added.shape[2]
-            some = added[:, lines // high % added.shape[1]]
-            sums += some.repeat(labels // len(added), 0).repeat(columns // added.shape[2], 2)
-        volume_out[:, lines % held] = np.maximum(sums, 0) if self._rectified else sums
+            if rows is not None:
+                added = added[:, np.arange(size[1] * added.shape[2] // size[2]) % added.shape[1]]
+            for axis in range(3):
+                added = added.repeat(size[axis] // added.shape[axis], axis)
+            sums += added
+        lines = np.arange(size[1]) if rows is None else np.arange(rows.first, rows.last)
+        found = np.maximum(sums, 0) if self._rectified else sums
+        volume_out[:, lines % volume_out.shape[1]] = found[:, lines]
 
-    def _taps(self, volume: Array, lines: NDArray[np.intp], height: int) -> Iterator[tuple[Array, Array]]:
-        """Yield weights [c_in, c_out] and what they are for in some rows of the output, [l, y, x, c_in]."""
-        (deep, high, wide), (labels, held, width) = self._weights.shape[:3], volume.shape[:3]
-        padded = np.pad(volume, [(deep // 2, deep // 2), (0, 0), (wide // 2, wide // 2), (0, 0)])
-        for tap in np.ndindex(deep, high, wide):
-            rows = lines * self._strides[1] + tap[1] - high // 2
-            there = padded[tap[0] : tap[0] + labels : self._strides[0]][:, rows % held]
-            there = there[:, :, tap[2] : tap[2] + width : self._strides[2]]
-            yield self._weights[tap], np.where(((rows >= 0) & (rows < height))[:, None, None], there, 0)
+    def _taps(self, volume: Array) -> Iterator[tuple[Array, Array]]:
+        """Yield weights [c_in, c_out] and what they are for, [l, y, x, c_in]."""
+        sizes = self._weights.shape[:3]
+        padded = np.pad(volume, [*((size // 2, size // 2) for size in sizes), (0, 0)])
+        for tap in np.ndindex(sizes):
+            lengths = zip(tap, volume.shape, self._strides, strict=False)
+            yield self._weights[tap], padded[tuple(slice(k, k + length, stride) for k, length, stride in lengths)]
 
 
 convolution = Convolution

@@ -135,10 +135,10 @@ _LAYERS = (
     ConvolutionCase("large window", size=(3, 6, 7), window=(1, 5, 7)),
     ConvolutionCase("work for several threads", size=(4, 17, 67), channels=(24, 4)),
     ConvolutionCase("rows at a time", size=(2, 14, 10), strip=(3, 6, 4)),
-    ConvolutionCase("rows with strides", size=(2, 20, 10), strides=(2, 2, 2), channels=(24, 40), strip=(2, 8, 10)),
+    ConvolutionCase("rows with strides", size=(2, 20, 9), strides=(1, 2, 1), channels=(24, 40), strip=(2, 8, 10)),
     ConvolutionCase(
         "rows to which coarse ones are added",
-        size=(2, 12, 12),
+        size=(2, 12, 8),
         window=(1, 1, 1),
         channels=(24, 24),
         added=(1, 2, 2),
@@ -191,6 +191,7 @@ class PeakCase(Stored):
 PEAK_CASES = (
     PeakCase("peaks"),
     PeakCase("odd sizes", size=(7, 9)),
+    PeakCase("high", size=(9, 4)),
     PeakCase("room beyond the border", size=(5, 6), room=5),
     PeakCase("half precision", "float16"),
     PeakCase("one disparity", count=1),
