@@ -5,13 +5,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 from lfgpu.cli import app
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read_map, write_pfm
-from lfgpu.io.hci_submission import SCENES, write_submission
-from lfgpu.metrics import Metrics, Sparsification, evaluate, other_unit, reliability, sparsification
+from lfgpu.io import read_map, write_hci, write_pfm
+from lfgpu.io.hci_submission import SCENES, read_region_masks, write_submission
+from lfgpu.metrics import Metrics, Sparsification, evaluate, evaluate_regions, other_unit, reliability, sparsification
+from lfgpu.scenes import make
 from tests.made import made_result
 
 NAN = float("nan")
@@ -258,3 +260,43 @@ def test_a_submission_from_what_depth_wrote(tmp_path: Path) -> None:
     refused = CliRunner().invoke(app, ["eval", str(tmp_path / "dots.pfm"), "--hci-submission", str(tmp_path / "x")])
     assert refused.exit_code == 1
     assert "does not say how long it took" in refused.stderr
+
+
+def test_measures_of_regions() -> None:
+    truth = np.zeros((60, 80))
+    found = truth.copy()
+    found[20, 30:40] = 0.2  # too near
+    found[40, 30:40] = -0.2  # too far
+    found[30, 30:35] = np.nan
+    everywhere = np.ones(truth.shape, np.bool_)
+    masks = {"discontinuities": everywhere, "fine": everywhere, "fine_surrounding": everywhere}
+    scores = evaluate_regions(found, truth, masks, border=15)
+    inside = (60 - 30) * (80 - 30) / 100
+    assert scores["discontinuities"] == pytest.approx(25 / inside)
+    assert scores["fine structures, fattening"] == pytest.approx(15 / inside)
+    assert scores["fine structures, thinning"] == pytest.approx(15 / inside)
+    assert "planes, bumpiness" not in scores
+
+
+def test_bumpiness_is_that_of_second_derivatives() -> None:
+    y, x = np.mgrid[:60, :80].astype(np.float64)
+    truth = 0.3 * x - 0.2 * y
+    masks = {"planes": np.ones(truth.shape, np.bool_)}
+    for found, bumpy in ((truth + 0.01 * x + 5, 0.0), (truth + 0.005 * x**2, 1.0), (truth + 0.005 * x * y, 0.5**0.5)):
+        assert evaluate_regions(found, truth, masks)["planes, bumpiness"] == pytest.approx(bumpy, abs=1e-9)
+    assert evaluate_regions(truth + x**3, truth, masks)["planes, bumpiness"] == pytest.approx(5.0)  # at most
+
+
+def test_eval_shows_the_regions_that_a_scene_has(tmp_path: Path) -> None:
+    lf = make("boxes", grid=(3, 3), size=(48, 56))
+    write_hci(lf, tmp_path / "scene")
+    write_pfm(tmp_path / "map.pfm", lf.truth.disparity + np.float32(0.1))
+    assert "discontinuities" not in lfgpu("eval", tmp_path / "map.pfm", tmp_path / "scene")
+    mask = Image.fromarray(np.full((48, 56), 255, np.uint8))
+    mask.save(tmp_path / "scene" / "mask_discontinuities_lowres.png")
+    (tmp_path / "scene" / "evaluation_masks").mkdir()
+    mask.save(tmp_path / "scene" / "evaluation_masks" / "mask_planes.png")
+    assert set(read_region_masks(tmp_path / "scene")) == {"discontinuities", "planes"}
+    said = lfgpu("eval", tmp_path / "map.pfm", tmp_path / "scene")
+    assert re.search(r"discontinuities \(%\) +100.00", said)
+    assert re.search(r"planes, bumpiness \(x100\) +0.00", said)

@@ -96,6 +96,21 @@ def scores(console: Console, rows: Mapping[str, Metrics]) -> None:
     _print(console, table)
 
 
+def region_scores(console: Console, rows: Mapping[str, Mapping[str, float]]) -> None:
+    """Print the benchmark's measures of regions from top to bottom, maps from left to right."""
+    from lfgpu.metrics import REGION_METRICS
+
+    table = _table()
+    table.add_column("")
+    for name in rows:
+        table.add_column(Text(name), justify="right")
+    for metric in REGION_METRICS:
+        values = [scores[metric.name] for scores in rows.values() if metric.name in scores]
+        if values:
+            table.add_row(f"{metric.name} ({metric.unit})", *(f"{value:.2f}" for value in values))
+    _print(console, table)
+
+
 def comparison(console: Console, scored: Compared) -> None:
     """Print a table with a row per scene and method and a column per metric; the best of each scene is bold."""
     from lfgpu.comparison import COLUMNS

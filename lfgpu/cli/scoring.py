@@ -12,7 +12,7 @@ from lfgpu import metrics
 from lfgpu.batch.items import MANIFEST_FILE
 from lfgpu.batch.manifest import DONE, read_manifest, standing
 from lfgpu.cli import console as shown
-from lfgpu.cli.console import comparison, output, remark, scores
+from lfgpu.cli.console import comparison, output, region_scores, remark, scores
 from lfgpu.cli.summary import scored_where, show_outputs
 from lfgpu.comparison import Scene, Table, table, table_of
 from lfgpu.data.lightfield import GroundTruth, LightField
@@ -32,9 +32,9 @@ from lfgpu.io import (
     read_mask,
     result_in,
 )
-from lfgpu.io.hci_submission import write_submission
+from lfgpu.io.hci_submission import read_region_masks, write_submission
 from lfgpu.io.map_formats import REPORT_FILE
-from lfgpu.metrics import BORDER, Metrics, evaluate, other_unit
+from lfgpu.metrics import BORDER, Metrics, evaluate, evaluate_regions, other_unit
 
 _FILES = {
     "table.md": "scores, for a README",
@@ -57,6 +57,11 @@ def score(result: Path, truth: Path, mask: Path | None, border: int | None) -> N
     remark(console, scored_where(next(iter(rows.values())).count, left_out))
     if (doubt := other_unit(list(maps.values())[-1], true.disparity, mask=where)) is not None:
         remark(console, doubt)
+    if truth.is_dir() and (regions := read_region_masks(truth)):
+        region_scores(
+            console,
+            {name: evaluate_regions(values, true.disparity, regions, border=left_out) for name, values in maps.items()},
+        )
     if estimate is not None and estimate.confidence is not None:
         curve = metrics.sparsification(
             estimate.disparity, estimate.confidence, true.disparity, mask=where, border=left_out

@@ -1,13 +1,17 @@
-"""Submissions to the HCI 4D Light Field Benchmark, a map and a runtime for each of its scenes."""
+"""Submissions to the HCI 4D Light Field Benchmark, a map and a runtime for each of its scenes; and its masks of
+regions.
+"""
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder
+from lfgpu.io.images import read_mask
 from lfgpu.io.pfm import write_pfm
 
 SCENES = (
@@ -17,6 +21,11 @@ SCENES = (
 )
 """The scenes of the benchmark: stratified, training, test."""
 SIZE = (512, 512)
+REGIONS = ("discontinuities", "planes", "smooth_surfaces", "fine_surrounding", "fine")
+"""The names of its masks."""
+
+_MASK_PLACES = ("", "evaluation_masks")
+_MASK_NAMES = ("mask_{}_lowres.png", "mask_{}.png")
 
 
 def write_submission(
@@ -48,3 +57,14 @@ def write_submission(
             write_pfm(folder / "disp_maps" / f"{scene}.pfm", disparity)
             (folder / "runtimes" / f"{scene}.txt").write_text(f"{seconds:.6f}\n", encoding="ascii")
     return tuple(scene for scene in SCENES if scene not in results)
+
+
+def read_region_masks(folder: Path) -> dict[str, NDArray[np.bool_]]:
+    """Read the masks of regions that a scene has, bool [y, x] by name; LightFieldError if one is damaged."""
+    found = {}
+    for region in REGIONS:
+        places = (folder / place / name.format(region) for place in _MASK_PLACES for name in _MASK_NAMES)
+        file = next((file for file in places if file.is_file()), None)
+        if file is not None:
+            found[region] = read_mask(file)
+    return found

@@ -107,6 +107,46 @@ def test_the_rig_of_a_colmap_model(binary: bool, tmp_path: Path) -> None:
         read_calibration(tmp_path)
 
 
+@pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
+def test_images_of_a_colmap_model_that_are_older_than_its_frames(binary: bool, tmp_path: Path) -> None:
+    """Frames and rigs say where images were taken; poses of images that say otherwise are stale."""
+    cameras = rig()
+    as_colmap_binary(cameras, tmp_path) if binary else as_colmap_text(cameras, tmp_path)
+    poses = [[*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)] for camera in cameras]
+    first = 7  # number of the first image
+
+    def write(moved: float) -> None:
+        if binary:
+            rigs = [struct.pack("<IIiI", n + 1, 1, 0, n + 1) for n in range(len(cameras))]
+            (tmp_path / "rigs.bin").write_bytes(struct.pack("<Q", len(cameras)) + b"".join(rigs))
+            frames = [
+                struct.pack("<II7dIiIQ", n + 1, n + 1, *pose[:6], pose[6] + moved, 1, 0, n + 1, n + first)
+                for n, pose in enumerate(poses)
+            ]
+            (tmp_path / "frames.bin").write_bytes(struct.pack("<Q", len(cameras)) + b"".join(frames))
+            return
+        outer, away = np.asarray(cameras[3].rotation), np.asarray(cameras[3].translation)
+        sensors = ["1 4 CAMERA 4"]  # one rig, whose frame is that of its last camera
+        for n, camera in enumerate(cameras[:3], 1):
+            turn = np.asarray(camera.rotation) @ outer.T
+            numbers = (*quaternion(turn), *(np.asarray(camera.translation) - turn @ away))
+            sensors.append(f"CAMERA {n} 1 {' '.join(repr(float(v)) for v in numbers)}")
+        (tmp_path / "rigs.txt").write_text("# rigs\n" + " ".join(sensors))
+        numbers = " ".join(repr(float(v)) for v in (*poses[3][:6], poses[3][6] + moved))
+        images = " ".join(f"CAMERA {n + 1} {n + first}" for n in range(4))
+        (tmp_path / "frames.txt").write_text(f"# frames\n1 1 {numbers} 4 {images}")
+
+    write(0.0)
+    _same(cameras, read_calibration(tmp_path).cameras)
+    write(0.1)
+    with pytest.raises(LightFieldError, match="elsewhere than frames and rigs do"):
+        read_calibration(tmp_path)
+    if binary:
+        (tmp_path / "frames.bin").write_bytes((tmp_path / "frames.bin").read_bytes()[:-5])
+        with pytest.raises(LightFieldError, match=r"elsewhere|end too early"):
+            read_calibration(tmp_path)
+
+
 def test_llff_rays_come_back_with_depths(tmp_path: Path) -> None:
     cameras = rig(lens=(), alike=True)
     found = read_calibration(as_llff(cameras, tmp_path))

@@ -1,4 +1,4 @@
-"""Models of COLMAP: cameras, images, and since 3.12 rigs, as text or binary.
+"""Models of COLMAP: cameras, images, and since 3.12 rigs and their frames, as text or binary.
 
 Its first pixel has its centre at (0.5, 0.5).
 """
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lfgpu.calibration.cameras import Camera, of_quaternion
 from lfgpu.calibration.formats.entries import numbers
+from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io.texts import read_text
 
@@ -33,12 +34,15 @@ _NUMBERED = {model[0]: name for name, model in _MODELS.items()}
 
 _LARGEST_TEXT = 1 << 30  # bytes: the points that images show stand in it, too
 _LONGEST_NAME = 4096  # bytes
+_APART = 1e-3  # share of the extent of the cameras, and radians, by which two poses of an image may differ
 
 Lens = tuple[str, int, int, tuple[float, ...]]
-Pose = tuple[tuple[float, ...], tuple[float, ...], int, str]
-"""Of an image: quaternion, translation (world to camera), number of its camera, name."""
-RigPoses = dict[int, tuple[float, ...]]
-"""Quaternions and translations (rig to camera) of the cameras of a rig, by the number of the camera."""
+Pose = tuple[tuple[float, ...], tuple[float, ...], int, str, int]
+"""Of an image: quaternion, translation, number of its camera, name, number."""
+FramePose = tuple[float, ...]
+"""Quaternion and translation, world to camera; in a rig, rig to camera."""
+RigPoses = dict[int, FramePose]
+"""Poses of the cameras of a rig, by the number of the camera."""
 
 _STILL = (1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 _IS_CAMERA = 0  # among COLMAP's kinds of sensors
@@ -55,8 +59,11 @@ def read_colmap(folder: Path) -> list[Camera]:
     """Read the cameras of all images of a model, in the order of their names."""
     with _sentences(folder, "model"):
         lenses, poses = _lenses(folder), _poses(folder)
-        _check_known({key for _, _, key, _ in poses}, lenses, "images name")
-        found = [_camera(lenses[key], q, t, name) for q, t, key, name in poses]
+        _check_known({key for _, _, key, _, _ in poses}, lenses, "images name")
+        found = [_camera(lenses[key], q, t, name) for q, t, key, name, _ in poses]
+    with _sentences(folder, "rig"):
+        images = {number: (key, (*q, *t), name) for q, t, key, name, number in poses}
+        check_frames(folder, images, {key: pose for rig in _rigs(folder) for key, pose in rig.items()})
     return sorted(found, key=lambda camera: camera.name)
 
 
@@ -126,7 +133,7 @@ def _check_known(keys: set[int], lenses: Mapping[int, Lens], who: str) -> None:
 def _folders(poses: list[Pose]) -> dict[int, str]:
     """Folder of all images of a camera, by the number of the camera, where they share one."""
     found: dict[int, set[str]] = {}
-    for _, _, key, name in poses:
+    for _, _, key, name, _ in poses:
         parent, slash, _name = name.replace("\\", "/").rpartition("/")
         if slash:
             found.setdefault(key, set()).add(parent)
@@ -171,7 +178,7 @@ def _text_images(text: str) -> Iterator[Pose]:
             continue
         parts = line.split(maxsplit=9)
         values = tuple(map(float, parts[1:8]))
-        yield values[:4], values[4:], int(parts[8]), parts[9].strip()
+        yield values[:4], values[4:], int(parts[8]), parts[9].strip(), int(parts[0])
         next(rows, "")  # its points
 
 
@@ -204,7 +211,7 @@ def _binary_cameras(file: BinaryIO) -> Iterator[tuple[int, Lens]]:
 def _binary_images(file: BinaryIO) -> Iterator[Pose]:
     (count,) = _unpacked(file, "<Q")
     for _ in range(count):
-        _, *values, key = _unpacked(file, "<I7dI")
+        number, *values, key = _unpacked(file, "<I7dI")
         name = bytearray()
         while (letter := _unpacked(file, "<c")[0]) != b"\0":
             name += letter
@@ -214,7 +221,7 @@ def _binary_images(file: BinaryIO) -> Iterator[Pose]:
         if 24 * points > os.fstat(file.fileno()).st_size - file.tell():
             raise ValueError("it ends too early")
         file.seek(24 * points, os.SEEK_CUR)
-        yield tuple(values[:4]), tuple(values[4:]), key, name.decode("utf-8", "replace")
+        yield tuple(values[:4]), tuple(values[4:]), key, name.decode("utf-8", "replace"), number
 
 
 def _binary_rigs(file: BinaryIO) -> Iterator[RigPoses]:
@@ -282,3 +289,60 @@ def write_depth(path: Path, depth: NDArray[np.float32]) -> None:
     """Write a depth map [y, x] as COLMAP stores those of its stereo: float32, 0 where it is unknown."""
     known = np.where(np.isfinite(depth), depth, 0).astype("<f4")
     path.write_bytes(f"{depth.shape[1]}&{depth.shape[0]}&1&".encode() + known.tobytes())
+
+
+def check_frames(folder: Path, images: Mapping[int, tuple[int, FramePose, str]], rig: Mapping[int, FramePose]) -> None:
+    """Raise LightFieldError if frames put images elsewhere than their own poses do: one of the two files is stale.
+
+    `images` has the number of the camera, pose and name of each image, `rig` the poses of the cameras, rig to camera.
+    """
+    centres = {key: _centre(pose) for key, (_, pose, _) in images.items()}
+    extent = float(np.ptp(np.array(list(centres.values())), axis=0).max()) if centres else 0.0
+    for frame, number in _frames(folder):
+        if number not in images or images[number][0] not in rig:
+            continue
+        key, own, name = images[number]
+        turn, shift = _matrix(rig[key])
+        outer, away = _matrix(frame)
+        rotation, translation = turn @ outer, turn @ away + shift
+        angle = float(np.linalg.norm(rotation - _matrix(own)[0])) / np.sqrt(2)
+        apart = float(np.linalg.norm(-rotation.T @ translation - centres[number]))
+        if angle > _APART or apart > _APART * max(extent, 1e-12):
+            raise LightFieldError(
+                f"images put {name} elsewhere than frames and rigs do (by {apart:.3g} units, {np.degrees(angle):.3g} "
+                "degrees): one of these files is of an older model; write the model anew with colmap model_converter."
+            )
+
+
+def _frames(folder: Path) -> Iterator[tuple[FramePose, int]]:
+    """Yield the pose of the rig (world to rig) and the number of each image that was taken from there."""
+    if (folder / "frames.bin").is_file():
+        with (folder / "frames.bin").open("rb") as file:
+            yield from _binary_frames(file)
+    elif (folder / "frames.txt").is_file():
+        for line in _rows(read_text(folder / "frames.txt", largest=_LARGEST_TEXT)):
+            parts = line.split()
+            if len(parts) < 10:
+                continue
+            for at in range(10, 10 + 3 * int(parts[9]), 3):
+                if parts[at] == "CAMERA":
+                    yield tuple(map(float, parts[2:9])), int(parts[at + 2])
+
+
+def _binary_frames(file: BinaryIO) -> Iterator[tuple[FramePose, int]]:
+    (count,) = _unpacked(file, "<Q")
+    for _ in range(count):
+        _, _, *pose, sensors = _unpacked(file, "<II7dI")
+        for _ in range(sensors):
+            kind, _, number = _unpacked(file, "<iIQ")
+            if kind == _IS_CAMERA:
+                yield tuple(pose), number
+
+
+def _matrix(pose: FramePose) -> tuple[Float64Array, Float64Array]:
+    return of_quaternion(*pose[:4]), np.array(pose[4:], np.float64)
+
+
+def _centre(pose: FramePose) -> Float64Array:
+    rotation, translation = _matrix(pose)
+    return np.asarray(-rotation.T @ translation)
