@@ -33,12 +33,13 @@ def peak(
     sharp = unfolded(logits[:, lines % logits.shape[1]], first.shape)
     shares = np.exp(sharp - sharp.max(0))
     shares /= shares.sum(0)
-    labels = np.arange(len(shares))[:, None, None]
-    near = np.where(np.abs(labels - shares.argmax(0)) <= PEAK_REACH, shares, 0)
+    best = shares.argmax(0)
+    past = np.arange(len(shares))[:, None, None] - best  # small numbers: they lose no digits beside small shares
+    near = np.where(np.abs(past) <= PEAK_REACH, shares, 0)
     probability_out[there] = probability = near.sum(0)
-    place = (near * labels).sum(0) / probability
-    disparity_out[there] = first + step * place
-    deviation_out[there] = step * np.sqrt((near * (labels - place) ** 2).sum(0) / probability)
+    place = (near * past).sum(0) / probability
+    disparity_out[there] = first + step * (best + place)
+    deviation_out[there] = step * np.sqrt((near * (past - place) ** 2).sum(0) / probability)
 
 
 def judge_peak(
