@@ -38,7 +38,7 @@ _PARTS: dict[str, tuple[Any, str]] = {
     "verdict": (verdict, "verdict_of"),
     "screen": (looking, "worth_a_look"),
     "points": (screening, "some_on_surfaces"),
-    "off": (screening, "_may_be_off"),
+    "off": (screening, "_fault"),
     "swapped": (screening, "_may_be_swapped"),
 }
 """Functions that are timed. Views are uploaded and measured (range and beside it grain, noise) while the pipeline takes

@@ -243,7 +243,9 @@ def test_cameras_of_opencv_that_cannot_be_used(opencv: types.ModuleType) -> None
     with pytest.raises(lfgpu.LightFieldError, match="OpenCV cannot open '7' of opencv:0,7"):
         open_source("opencv:0,7")
     _Camera.pictures[1] = [film()[0].views[1][:9]]
-    with pytest.raises(lfgpu.LightFieldError, match="'1' of opencv:0,1 has pictures of 36 x 9 pixels, but '0' has"):
+    with pytest.raises(
+        lfgpu.LightFieldError, match=r"'1' of opencv:0,1 has frames of 36 x 9 pixels, but '0' of .* has"
+    ):
         open_source("opencv:0,1")
 
 
