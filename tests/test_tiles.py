@@ -144,6 +144,9 @@ def test_a_light_field_that_is_too_large_for_the_machine_is_estimated_in_tiles(
     np.testing.assert_array_equal(found.disparity, expected.disparity)
     with pytest.raises(LightFieldError, match=r"A map in one piece takes about .* GiB: use fewer or smaller views"):
         DepthPipeline(scene, **options)
+    KEPT.free()
+    with pytest.raises(LightFieldError, match=r"max_memory allows more than there is: a tile takes .* GiB; give"):
+        estimate_depth(scene, **options, max_memory="8GiB")
     monkeypatch.setattr(footprint, "free_memory", lambda: None)  # the system does not say
     assert " tiles of " not in estimate_depth(scene, **options).status
 

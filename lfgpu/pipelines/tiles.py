@@ -30,7 +30,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Method
-from lfgpu.methods.footprint import Footprint
+from lfgpu.methods.footprint import Footprint, TooLittleMemoryError
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.pipeline import Progress
 from lfgpu.pipelines.range_confirmation import confirm
@@ -154,6 +154,10 @@ def _estimate_all(
         (device, resident), found = free.get(), None
         try:
             found = resident.estimate(_tile(lf, used, start, plan.size), device=device, **options)
+        except TooLittleMemoryError as error:
+            raise LightFieldError(
+                f"max_memory allows more than there is: a tile takes about {error.sizes}; give less."
+            ) from error
         except LightFieldError as error:  # the tile may lack texture; an error only if all tiles fail
             failed.append(error)
         finally:
