@@ -317,5 +317,16 @@ def test_parameters_on_a_terminal_are_a_table(monkeypatch: pytest.MonkeyPatch) -
     assert "((views - 1) · channels)]" in " ".join(shown.split())
 
 
+def test_a_terminal_is_told_what_goes_on(recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """From the start, when kernels may be compiled for a minute, to the last stage."""
+    command = "depth", recorded, "-o", out, *RANGE, "--preset", "fast"
+    assert lfgpu(*command).err == ""
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    monkeypatch.setenv("COLUMNS", "100")
+    shown = lfgpu(*command).err
+    assert "range and noise; the first run compiles kernels" in shown
+    assert "boundaries" in shown
+
+
 def test_an_unknown_preset_has_no_parameters() -> None:
     refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, learned, ")

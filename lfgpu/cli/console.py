@@ -201,7 +201,7 @@ def progress(config: Config, *, quiet: bool) -> Iterator[Progress]:
 
     method = method_of(config)
     stages = {stage.name: stage for stage in method.stages}
-    with waiting(quiet=quiet) as say:
+    with waiting("range and noise; the first run compiles kernels", quiet=quiet) as say:
 
         def show(stage: str, iteration: int, value: float) -> None:
             label = stages[stage].label if stage in stages else _RUNNERS[stage]
