@@ -33,8 +33,8 @@ from lfgpu.methods.matching.unet import (
 )
 
 _STRIDES = {1: (1, 2, 2), 2: (2, 2, 2), 3: (2, 2, 2), 4: (1, 2, 2)}
-_TOGETHER = 8  # disparities of whole images whose costs a GPU keeps at the same time, or as many numbers
-_ROWS = 8  # folded, whose costs a CPU keeps at the same time
+_TOGETHER = 8  # a GPU keeps as many costs at a time as whole images have at so many disparities
+_ROWS = 8  # a CPU keeps the costs of so many folded rows at a time
 _GREY = 0.4  # intensity of pixels that are not valid: the mean that images are brought to
 DISPARITIES = 4
 """The network works on as many disparities as are a multiple of this."""
