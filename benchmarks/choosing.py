@@ -37,7 +37,7 @@ _MASKED = 0.25  # share of the arrays whose lenses are round
 _LENS = 0.55, 0.7  # radius of what these show, in diameters of the largest circle in a view
 _SLACK = 1.0, 6.0  # pixels in the farthest view by which ranges are wider than the truth at either end
 _LEAST_UNIT = 1 / 12  # of the distance to the farthest view: no view step is shorter
-_FINE, _MOST = 0.03, 4.0  # pixels in the farthest view: errors from which the loss grows slower, and no more
+_FINE, _MOST = 0.03, 16.0  # pixels in the farthest view: errors from which the loss grows slower, and no more
 _RIGHT = 0.07  # pixels per view step, as for the confidence of the network
 _BATCH, _CROP = 16, 192
 _RATE, _WARM_UP = 2e-3, 200
@@ -174,7 +174,7 @@ def chosen(maps: Tensor, decisions: Tensor) -> Tensor:
 
 
 def _cost(error: Tensor) -> Tensor:
-    return torch.log1p(error / _FINE) + 0.5 * error.clamp(max=_MOST)
+    return torch.log1p(error / _FINE) + error.clamp(max=_MOST)
 
 
 def loss_of(decisions: Tensor, seen: Compared) -> Tensor:

@@ -52,7 +52,7 @@ class TooLittleMemoryError(LightFieldError):
         self.limit = limit
         self.sizes = f"{needed / 2**30:.3g} GiB of memory, and there are {there / 2**30:.3g} GiB"
         super().__init__(
-            f"A map in one piece takes about {self.sizes}: use fewer or smaller views or the preset fast, or make it "
+            f"a map in one piece takes about {self.sizes}: use fewer or smaller views or the preset fast, or make it "
             "in tiles with estimate_depth (lfgpu depth)."
         )
 

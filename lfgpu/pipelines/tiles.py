@@ -67,10 +67,10 @@ def plan_tiles(
     if not plans:
         least = needed.bytes(*(min(length for _, length in cuts) for cuts in along))
         raise LightFieldError(
-            f"max_memory of {_mebibytes(limit)} is too small: {_mebibytes(least + taken)} are needed, of which "
+            f"no tile fits into {_mebibytes(limit)} of memory: {_mebibytes(least + taken)} are needed, of which "
             f"{_mebibytes(needed.besides)} are for the process itself, {_mebibytes(taken)} for views in memory and the "
-            "map, and the rest for the smallest tile with its halo; give more memory, fewer views, or a narrower "
-            "disparity range."
+            "map, and the rest for the smallest tile with its halo; allow more (max_memory), or give fewer views or a "
+            "narrower disparity range."
         )
     *_, tile, counts = min(plans)
     rows, columns = (_places(length, side, count) for length, side, count in zip(size, tile, counts, strict=True))
@@ -155,9 +155,7 @@ def _estimate_all(
         try:
             found = resident.estimate(_tile(lf, used, start, plan.size), device=device, **options)
         except TooLittleMemoryError as error:
-            raise LightFieldError(
-                f"max_memory allows more than there is: a tile takes about {error.sizes}; give less."
-            ) from error
+            raise LightFieldError(f"a tile takes about {error.sizes}: set max_memory, or a smaller one.") from error
         except LightFieldError as error:  # the tile may lack texture; an error only if all tiles fail
             failed.append(error)
         finally:
