@@ -109,13 +109,16 @@ def look(
 
 
 def seen_views(offsets: Float64Array, used: Sequence[int]) -> NDArray[np.intp]:
-    """Choose the views that a look sees: those that a map is made from, and if these are few others, 25 in all.
+    """Choose the views that a look sees: those that a map is made from, and if these are few the farthest, 25 or more.
 
-    Among the chosen views it chooses all. `offsets` [n, 2] are those of all views.
+    Of views as far from the reference it chooses all: at the rim of a lens they depart from the others, but not from
+    each other. Among the chosen views it chooses all. `offsets` [n, 2] are those of all views.
     """
-    others = np.setdiff1d(np.arange(len(offsets)), used)
-    drawn = np.random.default_rng(0).permutation(others)[: max(0, _SEEN - len(used))]
-    return np.union1d(used, drawn)
+    others, more = np.setdiff1d(np.arange(len(offsets)), used), _SEEN - len(used)
+    if more <= 0 or not len(others):
+        return np.sort(np.asarray(used))
+    far = np.round(np.hypot(*offsets[others].T), 6)
+    return np.union1d(used, others[far >= np.sort(far)[-min(more, len(far))]])
 
 
 def _look_without_map(lf: LightField, device: Device) -> Look | None:

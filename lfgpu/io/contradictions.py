@@ -195,7 +195,8 @@ def contradiction(light_field: LightField) -> str | None:
     offsets = light_field.offsets[chosen]
     once = np.hypot(*offsets.T)[:, None]  # views far away tell no more than those nearby
     vectors, offsets = found.vectors / once, offsets / once
-    if found.explained > _HALF and (still := _still_line(vectors, offsets, found.shares)) is not None:
+    still = _still_line(vectors, offsets, found.shares) if found.explained > _HALF else None
+    if still is not None and not _moves_as_said(light_field, ("row", "column").index(still), factor):
         return (
             f"By their parallax the camera stood still between the views of a {still}: perhaps they are times, "
             "exposures or colours of one camera."
@@ -212,6 +213,8 @@ def contradiction(light_field: LightField) -> str | None:
     order = _order(light_field, chosen, vectors, once)
     if order is None and max(scores) > found.explained - _MISFIT:
         return None
+    if order is None and any(_moves_as_said(light_field, axis, factor) for axis in (0, 1)):
+        return None
     told = "" if order is None else f"; --order {order} fits (order= in Python)"
     return f"By their parallax the views do not stand where they are said to stand{told}."
 
@@ -226,6 +229,22 @@ def _still_line(vectors: NDArray[np.float64], offsets: NDArray[np.float64], shar
         if own < (_STILL if shares[line].max() > _HALF else _OTHER) * other:
             return name
     return None
+
+
+def _moves_as_said(light_field: LightField, axis: int, factor: int) -> bool:
+    """Tell whether the views of a row (axis 0) or column, by themselves, move along it in proportion to their places.
+
+    Where edges have one direction, all motion seems to be across them: then the views of a row may seem to stand still
+    beside those of a column, or to move in a wrong direction.
+    """
+    line = light_field.row() if axis == 0 else light_field.column()
+    near = line[np.argsort(np.abs(light_field.offsets[line, axis]), kind="stable")[1 : _STEPS + 1]]
+    centre, offsets = grey_of(light_field, light_field.reference_index, factor), light_field.offsets[near]
+    found = moves([(centre, grey_of(light_field, int(n), factor)) for n in near])
+    if found is None or not found.told:
+        return False
+    once = np.hypot(*offsets.T)[:, None]
+    return fit(found.vectors / once, offsets / once) > FITS
 
 
 def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, in_line: bool) -> str:
