@@ -96,7 +96,7 @@ def _compared(accuracy: Path, learned: Path, published: Path) -> str:
         for name, trained, errors, time in sorted(ours + others, key=lambda row: row[1])
     ]
     columns = ("method", "trained", *(f"`{scene}`" for scene in _COMPARED), f"time, `{_COMPARED[0]}`")
-    return f"{Table('', columns, 2, rows).markdown}\n\n{' '.join(map(_where, runs_of.values()))}\n"
+    return f"{Table('', columns, 2, rows).markdown}\n\n{' '.join(dict.fromkeys(map(_where, runs_of.values())))}\n"
 
 
 def _versions(*paths: Path) -> str:
@@ -202,7 +202,7 @@ TIMES = "h200-pipelines.json"
 RUNS = (TIMES, "ablation.json")
 TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
-    "backends": (("h100-vulkan.json",), _backends),
+    "backends": (("h200-vulkan.json",), _backends),
     "compared": ((ACCURACY, "learned.json", PUBLISHED), _compared),
     "confidence": (("confidence.json",), lambda path: confidence.by_confidence(_rows(path)).markdown),
     "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),

@@ -28,7 +28,7 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
     "misalignment": (*_CAMERAS, *_MAPS),
     "paper": ("kernels", *_MAPS, "lfgpu/io/lenslet", "tests/printed.py"),
     "population": (*_MAPS, "lfgpu/scenes"),
-    "rectify": _CAMERAS,
+    "rectify": (*_STREAMS, "lfgpu/calibration"),
     "rendering": (*_MAPS, "lfgpu/viz/rendering.py"),
     "scaling": _STREAMS,
     "soak": _STREAMS,

@@ -118,7 +118,7 @@ def seen_views(offsets: Float64Array, used: Sequence[int]) -> NDArray[np.intp]:
     if more <= 0 or not len(others):
         return np.sort(np.asarray(used))
     far = np.round(np.hypot(*offsets[others].T), 6)
-    return np.union1d(used, others[far >= np.sort(far)[-min(more, len(far))]])
+    return np.union1d(used, others[far >= np.sort(far)[-min(more, len(far))]])  # type: ignore[arg-type]
 
 
 def _look_without_map(lf: LightField, device: Device) -> Look | None:

@@ -12,6 +12,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import residual_pictures
 from lfgpu.cameras.consensus import outliers, without_gauge
+from lfgpu.cameras.looking import seen_views
 from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
 from lfgpu.cameras.tones import match_tones, squared_radius_at
 from lfgpu.cli import app
@@ -247,3 +248,13 @@ def test_views_from_the_rim_are_held_against_each_other(rng: np.random.Generator
         assert np.flatnonzero(outliers(moved, offsets, errors, least=0.1)).tolist() == [index]
         unsure = np.where(np.arange(81)[:, None] == index, 0.1, errors)
         assert not outliers(moved, offsets, unsure, least=0.1).any()
+
+
+def test_a_look_takes_all_views_as_far_from_the_reference() -> None:
+    offsets = np.array([[u, v] for v in range(-4, 5) for u in range(-4, 5)], np.float64)
+    cross = np.flatnonzero((offsets == 0).any(axis=1))
+    seen = seen_views(offsets, cross)
+    more = {tuple(sorted(abs(offsets[n]))) for n in np.setdiff1d(seen, cross)}
+    assert (len(seen), more) == (29, {(3, 4), (4, 4)})
+    assert len(seen_views(offsets, range(40))) == 40
+    assert len(seen_views(offsets[:9], [0, 1])) == 9

@@ -9,6 +9,7 @@ from samples import refusal, save
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
+from lfgpu.io.contradictions import contradictions
 from lfgpu.scenes import make
 from tests.io import meanings
 
@@ -121,6 +122,18 @@ def test_pictures_that_contradict_their_places(true: LightField, tmp_path: Path)
         for camera, view in enumerate(true.subset("row").views):
             save(still / f"{time}_{camera}.png", np.clip(view.astype(int) + 3 * time, 0, 255).astype(np.uint8))
     assert "the camera stood still between the views of a column" in read(still).notes[-1]
+
+
+@pytest.mark.parametrize("degrees", [5, 20, 70, 85])
+def test_edges_of_one_direction_do_not_tell_where_cameras_stand(degrees: int) -> None:
+    """Motion seems to be across stripes, whatever it is: of cameras that move along them nothing is seen."""
+    rng, (y, x) = np.random.default_rng(degrees), np.mgrid[:160, :160]
+    stripes, angle = np.cumsum(rng.normal(0, 0.02, 4000)), np.deg2rad(degrees)
+    offsets = np.array([[u, v] for v in range(-2, 3) for u in range(-2, 3)], np.float64)
+    along = [np.cos(angle) * (x + 0.7 * u) + np.sin(angle) * (y + 0.7 * v) for u, v in offsets]
+    views = np.stack([np.interp(4 * place + 1500, np.arange(4000), stripes) for place in along])
+    views += 0.5 - views.mean() + rng.normal(0, 0.005, views.shape)
+    assert contradictions(LightField(views[..., None].clip(0, 1).astype(np.float32), offsets, reference=12)) == ()
 
 
 def test_transparency_that_is_no_mask_and_pages_on_their_side(true: LightField, tmp_path: Path) -> None:
