@@ -131,7 +131,6 @@ def test_films_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_pa
     page = Page(browser, viewer, width=800, height=420)
     page.shown("map", "disparity")
     page.tab.keyboard.press("d")
-    page.choose("space-paint", "confidence")
     until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
     frame = page.tab.locator("#space-frame")
 
@@ -140,6 +139,10 @@ def test_films_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_pa
             return np.asarray(image.convert("RGB")).astype(int)
 
     until(lambda: len(np.unique(seen().reshape(-1, 3), axis=0)) > 100, "points are drawn", page.tab)
+    before = seen()
+    page.choose("space-paint", "confidence")
+    until(lambda: not np.array_equal(seen(), before), "their colours change", page.tab)
+    until(lambda: np.array_equal(seen(), seen()), "they have their colours", page.tab)  # before the film begins
     saved = {}
     page.tab.keyboard.press("s")
     for form in ("gif", "mp4"):
