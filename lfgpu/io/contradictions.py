@@ -211,9 +211,9 @@ def contradiction(light_field: LightField) -> str | None:
     if max(scores) > FITS:
         return None
     order = _order(light_field, chosen, vectors, once)
-    if order is None and max(scores) > found.explained - _MISFIT:
-        return None
-    if order is None and any(_moves_as_said(light_field, axis, factor) for axis in (0, 1)):
+    if order is None and (
+        max(scores) > found.explained - _MISFIT or any(_moves_as_said(light_field, axis, factor) for axis in (0, 1))
+    ):
         return None
     told = "" if order is None else f"; --order {order} fits (order= in Python)"
     return f"By their parallax the views do not stand where they are said to stand{told}."
