@@ -208,11 +208,10 @@ def axpby_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNames
 
 def conjugate_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
     """The new direction is the preconditioned residual and some of the old direction: those two may nearly cancel."""
-    new_direction = 0.1 * float(np.abs(weights(i) * want["r"]).max())
-    terms = relative_to_terms(x=lambda i: size(i.x), r=lambda i: size(i.y), rz=lambda i: size(i.y) ** 2)
-    errors = terms(got, want, i)
-    scale = max(float(np.abs(want["p"]).max()), new_direction, 0.1 * size(i.y))
-    return {**errors, "p": largest_error(got["p"], want["p"], scale)}
+    residual = max(size(i.y), float(np.abs(want["r"]).max()))
+    terms = relative_to_terms(x=lambda i: size(i.x), r=lambda _: residual, rz=lambda i: size(i.y) ** 2)
+    scale = max(float(np.abs(want["p"]).max()), float(weights(i).max()) * residual)
+    return {**terms(got, want, i), "p": largest_error(got["p"], want["p"], scale)}
 
 
 DOT = Operation(dot, "vector", dot_error)
