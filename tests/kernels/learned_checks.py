@@ -213,8 +213,9 @@ def peak_inputs(case: PeakCase, rng: np.random.Generator) -> SimpleNamespace:
         step=0.71875,
         stored=case.stored,
         strip=case.strip,
-        probability=rng.choice([0.0, 1.0, *rng.random(8)], case.size),
-        deviation=rng.choice([0.0, *rng.random(8)], case.size),
+        # What float32 holds: beside 1 the odds depend on the last digits.
+        probability=rng.choice([0.0, 1.0, *rng.random(8)], case.size).astype(np.float32),
+        deviation=rng.choice([0.0, *rng.random(8)], case.size).astype(np.float32),
         weights_of_judge={"share": rng.normal(size=4), "spread": rng.normal(size=3), "limit": 0.28},
     )
 
@@ -389,12 +390,16 @@ def judge_peak(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {"confidence": out["confidence_out"], "variance": out["variance_out"]}
 
 
+PEAK_ERRORS = checks.relative_to_terms(
+    disparity=lambda i: checks.size(i.first) + i.step * len(i.logits),
+    deviation=lambda i: i.step,  # sharp peaks are next to no pixel wide
+)
 OPERATIONS = (
     Operation(brightness, "sectors"),
     Operation(fold, "sectors"),
     Operation(sector_costs, "sectors"),
     Operation(convolution, "convolution"),
-    Operation(peak, "peak"),
+    Operation(peak, "peak", PEAK_ERRORS),
     Operation(judge_peak, "peak"),
     Operation(compare_maps, "choice"),
     Operation(choose, "choice"),
