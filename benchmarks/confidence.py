@@ -7,11 +7,11 @@ from __future__ import annotations
 
 import textwrap
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 import typer
@@ -25,7 +25,7 @@ from benchmarks import machine, scoring
 from benchmarks.errors import BenchmarkError
 from benchmarks.options import Out, Presets, check_out, listed, save, say
 from benchmarks.tables import NONE, Table
-from lfgpu import LightField, read, scenes
+from lfgpu import LightField, estimate_depth, read, scenes
 from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.io.atomic import atomic_write
@@ -67,6 +67,7 @@ SPREAD = {spread}
 '''
 
 Vector = NDArray[np.float64]
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,17 +98,21 @@ class Sample:
             confidence_out=confidence,
             variance_out=variance,
         )
-        return Judged(self, confidence, np.sqrt(np.minimum(variance, self.span**2 / 12)))  # as `MatchingPlan` does
+        deviation = np.sqrt(np.minimum(variance, self.span**2 / 12))  # as `MatchingPlan` does
+        return Judged(self.scene, self.preset, self.error, confidence, deviation)
 
 
 @dataclass(frozen=True, eq=False)
 class Judged:
-    """Confidence and deviation of a sample with some weights."""
+    """Some pixels of one map: their error, and the confidence and deviation that are stated."""
 
-    sample: Sample
+    scene: str
+    preset: str
+    error: Vector
+    """Pixels per view step."""
     confidence: Vector
     deviation: Vector
-    """Standard deviations that are stated, pixels per view step."""
+    """Standard deviations, pixels per view step."""
 
 
 @dataclass(frozen=True)
@@ -163,25 +168,27 @@ def command(
     """Compare the confidence with the truth; with `--fit`, weights for each scene are those of the others."""
     check_out(diagram, out)
     about = {**machine.about("confidence"), "presets": listed(presets), "fitted": fitted}
-    found = samples(folders, listed(presets))
-    all_ = [*found, *own_samples(listed(presets))] if fitted else []
-    weights = fit(all_) if fitted else NOW
-    with_all = [sample.judged(weights) for sample in found]
-    judged = by_the_others(all_) if fitted else with_all
+    groups: dict[str, list[Judged]]
+    if fitted:
+        found = _each(folders, listed(presets), _sample)
+        all_ = [*found, *own_samples(listed(presets))]
+        weights, judged = fit(all_), by_the_others(all_)
+        groups = {"fitted on other scenes": judged, "fitted on all": [sample.judged(weights) for sample in found]}
+        typer.echo(f"written: {write(weights, all_)}: {weights.share}, {weights.spread}")
+    else:
+        judged = _each(folders, listed(presets), _stated)
+        groups = {"as stated": judged}
     save(out, {**about, "rows": [asdict(row) for row in rows(judged)]})
     for table in tables(rows(judged)):
         table.show()
     if diagram is not None:
-        others = {"fitted on other scenes": judged, "fitted on all": with_all}
-        draw(others if fitted else {"present weights": judged}, diagram)
-    if fitted:
-        typer.echo(f"written: {write(weights, all_)}: {weights.share}, {weights.spread}")
+        draw(groups, diagram)
 
 
-def samples(folders: Sequence[Path], presets: Sequence[str]) -> list[Sample]:
-    """Take pixels of the light fields in folders, with each preset."""
+def _each(folders: Sequence[Path], presets: Sequence[str], take: Callable[[LightField, str, str], T]) -> list[T]:
+    """Take pixels of each light field in folders with each preset."""
     found = scoring.light_fields(folders)
-    return [_sample(read(path), name, preset) for name, path in found.items() for preset in presets]
+    return [take(read(path), name, preset) for name, path in found.items() for preset in presets]
 
 
 def own_samples(presets: Sequence[str]) -> list[Sample]:
@@ -272,11 +279,11 @@ def rows(judged: Sequence[Judged]) -> list[Row]:
     """Count the right pixels of each confidence and measure errors: of all maps together, then of each."""
     confidence, deviation, error = (
         np.concatenate(maps)
-        for maps in zip(*((one.confidence, one.deviation, one.sample.error) for one in judged), strict=True)
+        for maps in zip(*((one.confidence, one.deviation, one.error) for one in judged), strict=True)
     )
     return [
         _row("all", "all", confidence, deviation, error),
-        *(_row(j.sample.scene, j.sample.preset, j.confidence, j.deviation, j.sample.error) for j in judged),
+        *(_row(j.scene, j.preset, j.confidence, j.deviation, j.error) for j in judged),
     ]
 
 
@@ -344,7 +351,7 @@ def draw(groups: Mapping[str, Sequence[Judged]], out: Path) -> None:
     axes.fill_between((0, 1), (-0.05, 0.95), (0.05, 1.05), color="0.92", label="within 5 points")
     for name, group in groups.items():
         confidence = np.concatenate([judged.confidence for judged in group])
-        error = np.concatenate([judged.sample.error for judged in group])
+        error = np.concatenate([judged.error for judged in group])
         points = [(b.said, b.right) for b in _bins(confidence, error) if b.share >= LEAST_SHARE]
         axes.plot(*zip(*points, strict=True), "o-", markersize=4, label=f"{name} ({len(group)} maps)")
     axes.set(xlim=(0, 1), ylim=(0, 1), xlabel="confidence", ylabel=f"share of pixels within {RIGHT} px of the truth")
@@ -353,9 +360,32 @@ def draw(groups: Mapping[str, Sequence[Judged]], out: Path) -> None:
         figure.savefig(temporary, format="png")
 
 
+def _stated(lf: LightField, scene: str, preset: str) -> Judged:
+    """Take pixels of an estimate, with the confidence and the uncertainty of its result."""
+    say(f"{scene}, {preset}")
+    result = estimate_depth(lf, config=method_of(preset).config, check_cameras=False)
+    if result.uncertainty is None:
+        raise BenchmarkError(f"the confidence of the preset {preset!r} is no probability; take another one.")
+    error, scored = _errors(lf, result.disparity)
+    stated = (map_.ravel()[scored].astype(np.float64) for map_ in (result.confidence, result.uncertainty))
+    return Judged(scene, preset, error, *stated)
+
+
+def _errors(lf: LightField, disparity: NDArray[Any]) -> tuple[Vector, NDArray[np.intp]]:
+    """Compare a map with the truth: the errors of some pixels, and their places in the flat map."""
+    truth, inside = scoring.truth_of(lf), np.s_[BORDER:-BORDER, BORDER:-BORDER]
+    error = np.full(lf.size, np.nan)
+    error[inside] = (disparity - truth.disparity)[inside]
+    if truth.mask is not None:
+        error[~truth.mask] = np.nan
+    scored = np.flatnonzero(np.isfinite(error))
+    if len(scored) > _MOST:
+        scored = np.random.default_rng(0).choice(scored, _MOST, replace=False)
+    return error.ravel()[scored], scored
+
+
 def _sample(lf: LightField, scene: str, preset: str, bounds: tuple[float, float] | None = None) -> Sample:
     say(f"{scene}, {preset}")
-    truth = scoring.truth_of(lf)
     place = open_device(DEFAULT)
     method = method_of(preset)
     if not isinstance(method.config, MatchingConfig):
@@ -366,17 +396,10 @@ def _sample(lf: LightField, scene: str, preset: str, bounds: tuple[float, float]
     views = place.image(lf.views)
     for work in plan.stages(views).values():
         work(None)
-    error = np.full(lf.size, np.nan)
-    inside = np.s_[BORDER:-BORDER, BORDER:-BORDER]
-    error[inside] = (place.kernels.numpy(plan.disparity) - truth.disparity)[inside]
-    if truth.mask is not None:
-        error[~truth.mask] = np.nan
-    scored = np.flatnonzero(np.isfinite(error))
-    if len(scored) > _MOST:
-        scored = np.random.default_rng(0).choice(scored, _MOST, replace=False)
+    error, scored = _errors(lf, place.kernels.numpy(plan.disparity))
     features = {feature: map_.ravel()[scored].astype(np.float64) for feature, map_ in plan.features().items()}
     low, high = measured.disparity_range
-    return Sample(scene, preset, kind_of(method.config.sweep.resweeps), features, error.ravel()[scored], high - low)
+    return Sample(scene, preset, kind_of(method.config.sweep.resweeps), features, error, high - low)
 
 
 def _of_nothing(blur: float, seed: int, preset: str) -> Sample:
