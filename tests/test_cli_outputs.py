@@ -127,10 +127,7 @@ def test_render_images(recorded: Path, solved: Path, tmp_path: Path) -> None:
     )
     run("render", recorded, "--refocus", "0.7", "-o", tmp_path / "r.png")
     run("render", recorded, "--maps", solved, "--all-in-focus", "--reference-view", "0,1", "-o", tmp_path / "a.png")
-    expected = {
-        "v.png": lfgpu.render_view(lf, maps, 0.5, 1.25).image,
-        "r.png": lfgpu.refocus(lf, 0.7),
-    }
+    expected = {"v.png": lfgpu.render_view(lf, maps, 0.5, 1.25).image, "r.png": lfgpu.refocus(lf, 0.7)}
     for name, image in expected.items():
         stored = np.asarray(Image.open(tmp_path / name))
         np.testing.assert_allclose(stored / 255, image, atol=0.51 / 255)

@@ -18,12 +18,7 @@ from lfgpu.methods.matching.config import (
     SweepConfig,
 )
 from lfgpu.methods.sections import LocalConfig
-from lfgpu.methods.synthesis.config import (
-    PropagationConfig,
-    RefinementConfig,
-    SynthesisConfig,
-    SynthesisPriorConfig,
-)
+from lfgpu.methods.synthesis.config import PropagationConfig, RefinementConfig, SynthesisConfig, SynthesisPriorConfig
 
 SECTIONS = {
     MatchingConfig: {

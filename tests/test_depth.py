@@ -154,9 +154,7 @@ def mirrored(lf: LightField) -> LightField:
 
 
 @pytest.mark.parametrize(
-    ("turn", "back"),
-    [(transposed, np.transpose), (mirrored, np.fliplr)],
-    ids=["transposed", "mirrored"],
+    ("turn", "back"), [(transposed, np.transpose), (mirrored, np.fliplr)], ids=["transposed", "mirrored"]
 )
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
     one, other = upright(), estimate_depth(turn(small()), disparity_range=RANGE)

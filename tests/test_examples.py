@@ -196,10 +196,7 @@ def test_gstreamer_appsink(monkeypatch: pytest.MonkeyPatch) -> None:
                 assert sink.called["new-sample"]() == "ok"
         sinks["camera0"].called["eos"]()
 
-    pipeline = SimpleNamespace(
-        get_by_name=lambda name: sinks.setdefault(name, Sink()),
-        set_state=play,
-    )
+    pipeline = SimpleNamespace(get_by_name=lambda name: sinks.setdefault(name, Sink()), set_state=play)
     texts: list[str] = []
     gst = SimpleNamespace(
         parse_launch=lambda text: texts.append(text) or pipeline,

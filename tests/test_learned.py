@@ -11,17 +11,7 @@ import pytest
 from command_line import lfgpu, refused
 
 from benchmarks.network import random_weights
-from lfgpu import (
-    DepthPipeline,
-    DepthResult,
-    DepthStream,
-    LightField,
-    _backends,
-    estimate_depth,
-    evaluate,
-    load,
-    scenes,
-)
+from lfgpu import DepthPipeline, DepthResult, DepthStream, LightField, _backends, estimate_depth, evaluate, load, scenes
 from lfgpu.contract import FOLD, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError

@@ -10,17 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import (
-    flicker,
-    gpu_parity,
-    like,
-    misalignment,
-    moving,
-    rendering,
-    scaling,
-    soak,
-    tiles,
-)
+from benchmarks import flicker, gpu_parity, like, misalignment, moving, rendering, scaling, soak, tiles
 from benchmarks.cases import CASES, Case
 from benchmarks.cli import app
 from benchmarks.clock import spread

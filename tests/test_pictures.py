@@ -20,14 +20,7 @@ from lfgpu.io.brightness import without_black_corners
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.space import framed
 from lfgpu.viz.colours import LOOKS, UNDEFINED, indices, painted, palette, shades
-from lfgpu.viz.pictures import (
-    beside_scale,
-    draw_map,
-    save_picture,
-    ticks,
-    write_confidence,
-    write_disparity,
-)
+from lfgpu.viz.pictures import beside_scale, draw_map, save_picture, ticks, write_confidence, write_disparity
 from lfgpu.viz.sheets import overview
 
 SHAPE = (30, 40)
