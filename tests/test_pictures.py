@@ -302,8 +302,8 @@ def ratio_beside_them(scene: LightField) -> float:
     return float(errors[1] / errors[0])
 
 
-def test_without_them_the_maps_of_six_scenes_are_right_in_the_mean() -> None:
-    made = (scenes.make("relief", grid=(5, 5), size=(OF_A_VIEW, OF_A_VIEW), seed=seed) for seed in range(6))
+def test_without_them_the_maps_of_four_scenes_are_right_in_the_mean() -> None:
+    made = (scenes.make("relief", grid=(5, 5), size=(OF_A_VIEW, OF_A_VIEW), seed=seed) for seed in range(4))
     assert np.mean([ratio_beside_them(scene) for scene in made]) < 1.1
 
 
