@@ -9,15 +9,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from lfgpu import scenes
 from lfgpu.batch.cluster import Cluster
-from lfgpu.batch.items import find_items
-from lfgpu.batch.manifest import DONE, read_manifest
-from lfgpu.batch.run import _jobs
-from lfgpu.batch.work import Settings
-from lfgpu.cli import app
+from lfgpu.batch.items import Item, find_items
+from lfgpu.batch.manifest import DONE, Manifest, read_manifest
+from lfgpu.batch.run import Batch, Summary, _jobs
+from lfgpu.batch.work import Settings, work
 from lfgpu.io import load, write_hci
 from lfgpu.methods import preset
 
@@ -36,12 +34,23 @@ def jobs(inputs: Path, out: Path, settings: Settings = FAST, *, sequence: bool =
     return _jobs(find_items([str(inputs)], sequence=sequence)[0], out, settings)
 
 
+def done(items: list[Item], out: Path, settings: Settings) -> Summary:
+    """A batch of what is left to do, in this process."""
+    batch = Batch(items, out, settings)
+    with Manifest(out) as manifest:
+        for job in batch._todo(read_manifest(out)):
+            entry = work(job, "cpu")
+            batch.summary.entries[job.item.name] = entry
+            if entry["status"] == DONE:
+                batch.summary.computed += 1
+            else:
+                batch.summary.failed.append(entry)
+            manifest.add([entry])
+    return batch.summary
+
+
 def local(**options: Any) -> Cluster:
     return Cluster(workers=1, devices=("cpu",), threads=1, **options)
-
-
-def lfgpu(*arguments: object) -> Any:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def pids(cluster: Cluster) -> set[int]:

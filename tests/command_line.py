@@ -30,6 +30,14 @@ def lfgpu(*arguments: object) -> Outcome:
     return Outcome(result.exit_code, result.stdout, result.stderr, raised)
 
 
+def said(*arguments: object) -> str:
+    """Return what a command that succeeds writes to stdout."""
+    outcome = lfgpu(*arguments)
+    assert outcome.raised is None, outcome.raised
+    assert outcome.code == 0, outcome.err
+    return outcome.out
+
+
 def refused(outcome: Outcome, words: str, code: int = 1) -> None:
     """Exactly one sentence on stderr, with those words in it, and nothing on stdout."""
     assert outcome.raised is None

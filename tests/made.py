@@ -1,9 +1,11 @@
-"""Results that nobody estimated: what tests of files, pages and texts start from."""
+"""What tests start from: results that nobody estimated, light fields with masks, arrays of another library."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.methods import PRESETS
 
@@ -15,3 +17,25 @@ def made_result(disparity: np.ndarray, confidence: Any = 0.5, **fields: Any) -> 
     usual |= {"timings": {"total": 1.0}, "backend": "warp", "device": "cpu", "versions": {"lfgpu": "0.1.0"}}
     confidence = np.broadcast_to(np.float32(confidence), disparity.shape).copy()
     return DepthResult(disparity, confidence, **(usual | fields))
+
+
+def masked(lf: LightField, *places: Any) -> LightField:
+    """The light field with the pixels at those places, of [n, y, x], masked."""
+    valid = np.ones(lf.views.shape[:3], np.bool_)
+    for place in places:
+        valid[place] = False
+    return replace(lf, valid=valid)
+
+
+class Tensor:
+    """An array in the CPU's memory of a library that is not NumPy: what DLPack asks for, and a type with a prefix."""
+
+    def __init__(self, values: np.ndarray) -> None:
+        self._values = values
+        self.shape, self.dtype = values.shape, f"torch.{values.dtype}"
+
+    def __dlpack__(self, **options: Any) -> Any:
+        return self._values.__dlpack__(**options)
+
+    def __dlpack_device__(self) -> Any:
+        return self._values.__dlpack_device__()

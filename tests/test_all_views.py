@@ -17,6 +17,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.metrics import evaluate
 from lfgpu.pipelines.all_views import Join, estimate_all_views, spread_out
 from lfgpu.pipelines.estimate import estimate_depth
+from tests.made import made_result, masked
 
 RANGE = (-1.6, 1.7)
 SIZE = (96, 96)
@@ -82,7 +83,7 @@ def sampled(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray((1 - down) * upper + down * lower)
 
 
-@pytest.mark.parametrize(("name", "most"), [("boxes", 13), ("planes", 6.5)])
+@pytest.mark.parametrize(("name", "most"), [("boxes", 13), pytest.param("planes", 6.5, marks=pytest.mark.thorough)])
 def test_every_view_is_near_its_own_truth(name: str, most: float) -> None:
     result = estimated(name)
     assert result.disparities.shape == result.confidences.shape == (25, *SIZE)
@@ -120,32 +121,28 @@ def test_depths_confidence_and_the_reference_are_those_of_one_estimate() -> None
     assert ((confidence >= 0) & (confidence <= 1)).all()
     low, high = np.quantile(confidence, (0.3, 0.7))
     assert wrong[confidence >= high].mean() < 0.2 * wrong[confidence <= low].mean()
-    lf, result = scene("planes"), estimated("planes")
+    lf = scene("boxes")
     np.testing.assert_array_equal(
         result.reference.disparity, estimate_depth(lf, config="accurate", disparity_range=RANGE).disparity
     )
     assert result.keys[0] == lf.reference_index
     assert result.keys == (12, 0, 4, 20, 24, 2, 10, 14, 22)
     assert set(result.timings) == {"keys", "join", "total"}
-    result = estimated("planes")
     np.testing.assert_allclose(result.depths, result.geometry.depth(result.disparities), rtol=1e-6)
 
 
 def test_a_row_of_views_gets_a_map_each() -> None:
     lf, true = scene("planes", (1, 7)), truths("planes", (1, 7))
-    result = estimate_all_views(lf, keys=3, disparity_range=RANGE)
+    result = estimate_all_views(lf, keys=3, config="fast", disparity_range=RANGE)
     assert result.keys == (3, 0, 6)
     assert max(evaluate(d, t).badpix_07 for d, t in zip(result.disparities, true, strict=True)) < 12
 
 
 def test_views_and_pixels_that_are_masked_say_nothing_and_get_a_map() -> None:
-    lf, true = scene("planes"), truths("planes")
-    valid = np.ones(lf.views.shape[:3], np.bool_)
-    valid[0], valid[4, 30:60, 30:60], valid[12, 40:56, 40:56] = False, False, False
-    views = lf.views.copy()
-    views[~valid] = 255 - views[~valid]
-    masked = LightField(views, lf.positions, reference=lf.reference, valid=valid)
-    result = filled(estimate_all_views(masked, disparity_range=RANGE))
+    lf, true = replace(scene("planes"), views=scene("planes").views.copy()), truths("planes")
+    lf = masked(lf, 0, np.s_[4, 30:60, 30:60], np.s_[12, 40:56, 40:56])
+    lf.views[~lf.valid] = 255 - lf.views[~lf.valid]
+    result = filled(estimate_all_views(lf, config="fast", disparity_range=RANGE))
     assert 0 not in result.keys
     for index in (0, 4, 12, 24):
         assert evaluate(result.disparities[index], true[index]).badpix_07 < 8
@@ -181,26 +178,12 @@ def test_keys_are_spread_out_and_usable() -> None:
     assert spread_out(row, 0, 2, np.zeros(7, np.bool_)) == [0]
 
 
-def test_gaps_are_filled_from_the_farther_side() -> None:
-    nan = np.nan
-    np.testing.assert_array_equal(fill_unknown(np.array([[2.0, nan, nan, -1.0, nan]])), [[2, -1, -1, -1, -1]])
-    np.testing.assert_array_equal(fill_unknown(np.array([[3.0, 3, 3], [nan, nan, 5], [1, 1, 1]]))[1], [1, 1, 5])
-    np.testing.assert_array_equal(fill_unknown(np.array([[nan, nan], [nan, 4.0]])), np.full((2, 2), 4))
-    whole = np.arange(6.0).reshape(2, 3)
-    np.testing.assert_array_equal(fill_unknown(whole), whole)
-
-
 def joined(
     maps: dict[tuple[float, float], Any], at: tuple[float, float], *, valid: np.ndarray | None = None
 ) -> tuple[list[float], list[float]]:
     """Disparity and confidence, one row each, of the view `at` (u, v) from one row of each key view."""
     estimates = [
-        replace(
-            estimated("planes").reference,
-            disparity=np.array([row] * 3, np.float32),
-            confidence=np.full((3, len(row)), 0.8, np.float32),
-            position=position,
-        )
+        made_result(np.array([row] * 3, np.float32), confidence=0.8, position=position)
         for position, row in maps.items()
     ]
     disparity, confidence = Join(estimates, valid, Device(load("reference"), "cpu"), tolerance=0.1)(np.array(at))
@@ -234,13 +217,11 @@ def test_keys_that_see_through_have_half_a_vote_against(near: tuple[int, ...], w
     assert joined(maps, (0.0, 0.0))[0][4] == winner
 
 
-@pytest.mark.parametrize("keys", [0, -1, 2.5, True, "nine"])
-def test_keys_are_a_number_of_views(keys: Any) -> None:
-    with pytest.raises(LightFieldError, match="keys must be an integer >= 1"):
-        estimate_all_views(scene("planes"), keys=keys)
-
-
-def test_wrong_ranges_and_views_that_see_nothing_are_refused() -> None:
+def test_wrong_numbers_wrong_ranges_and_views_that_see_nothing_are_refused() -> None:
+    wrong: list[Any] = [0, -1, 2.5, True, "nine"]
+    for keys in wrong:
+        with pytest.raises(LightFieldError, match="keys must be an integer >= 1"):
+            estimate_all_views(scene("planes"), keys=keys)
     with pytest.raises(LightFieldError, match="low < high"):
         estimate_all_views(scene("planes"), disparity_range=(1.0, -1.0))
     lf = scenes.make("relief", grid=(3, 3), size=(32, 32), disparity_range=(0.5, 1.5))

@@ -7,10 +7,12 @@ import struct
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, jobs, lfgpu, local
+from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, done, jobs, local
+from command_line import lfgpu
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
@@ -26,6 +28,11 @@ from lfgpu.io import read, read_map
 from lfgpu.methods import method_of, preset
 
 # --- what there is to do ---
+
+
+def names(place: Path | str, *, sequence: bool = False, **options: Any) -> list[str]:
+    """Names of the light fields that are found there."""
+    return [item.name for item in find_items([str(place)], sequence=sequence, **options)[0]]
 
 
 def test_light_fields_are_found_at_any_depth_and_named(scene_folders: Path, tmp_path: Path) -> None:
@@ -44,8 +51,7 @@ def test_light_fields_are_found_at_any_depth_and_named(scene_folders: Path, tmp_
 @pytest.mark.parametrize("name", ["scan_2²", "scan_٣", "①"])
 def test_digits_that_are_no_numbers_are_parts_of_names(name: str, scene_folders: Path, tmp_path: Path) -> None:
     shutil.copytree(scene_folders / "scene_0", tmp_path / "in" / name)
-    items, _ = find_items([str(tmp_path / "in")], sequence=True)
-    assert [item.name for item in items] == [name]
+    assert names(tmp_path / "in", sequence=True) == [name]
 
 
 def test_patterns_order_and_outputs(scene_folders: Path, tmp_path: Path) -> None:
@@ -55,8 +61,7 @@ def test_patterns_order_and_outputs(scene_folders: Path, tmp_path: Path) -> None
     items, _ = find_items([str(tmp_path / "frame_*"), str(tmp_path / "frame_1")], sequence=True)
     assert [item.name for item in items] == ["frame_1", "frame_2", "frame_10"]
     assert {item.sequence for item in items} == {str(tmp_path)}
-    items, _ = find_items([str(tmp_path)], sequence=False, leave_out=tmp_path / "out")
-    assert len(items) == 3
+    assert len(names(tmp_path, leave_out=tmp_path / "out")) == 3
 
 
 def test_pictures_beside_light_fields_are_none(scene_folders: Path, tmp_path: Path) -> None:
@@ -85,27 +90,23 @@ def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: P
     (tmp_path / "result" / "result.npz").write_bytes(b"")
     np.save(tmp_path / "weights.npy", np.zeros((9, 9)))
     np.savez(tmp_path / "calibration.npz", matrix=np.eye(3))
-    items, _ = find_items([str(tmp_path)], sequence=False)
-    assert [item.name for item in items] == ["one"]
+    assert names(tmp_path) == ["one"]
     (tmp_path / "one" / "result.npz").write_bytes(b"")  # which makes it no less of a light field
-    items, _ = find_items([str(tmp_path)], sequence=False)
-    assert [item.name for item in items] == ["one"]
-    items, _ = find_items([str(tmp_path / "weights.npy")], sequence=False)
-    assert len(items) == 1  # who names it hears what is wrong with it
+    assert names(tmp_path) == ["one"]
+    assert len(names(tmp_path / "weights.npy")) == 1  # who names it hears what is wrong with it
 
 
 def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
     header, page = struct.pack("<2sHI", b"II", 42, 8), struct.pack("<HHHIII", 1, 256, 3, 1, 16, 8)
     (tmp_path / "a.tif").write_bytes(header + page)
-    assert [item.name for item in find_items([str(tmp_path)], sequence=False)[0]] == ["a.tif"]
+    assert names(tmp_path) == ["a.tif"]
 
 
 def test_links_do_not_lead_in_circles(scene_folders: Path, tmp_path: Path) -> None:
     shutil.copytree(scene_folders / "scene_0", tmp_path / "a" / "one")
     (tmp_path / "a" / "loop").symlink_to(tmp_path / "a")
     (tmp_path / "again").symlink_to(tmp_path / "a" / "one")
-    items, _ = find_items([str(tmp_path)], sequence=False)
-    assert [item.name for item in items] == ["one"]
+    assert names(tmp_path) == ["one"]
 
 
 def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
@@ -150,9 +151,9 @@ def test_an_item_comes_out_as_from_estimate_depth(scene_folders: Path, tmp_path:
 def test_a_pipeline_serves_the_next_item_and_changes_nothing(scene_folders: Path, tmp_path: Path) -> None:
     """With range and noise given, a worker keeps what it has allocated."""
     settings = replace(FAST, config=QUICK.with_values({"sweep.noise": 0.004}))
-    done = [job for job in jobs(scene_folders, tmp_path, settings) if work(job, "cpu")["status"] == DONE]
-    assert len(done) == COUNT - 1  # one is damaged
-    for job in done:
+    worked = [job for job in jobs(scene_folders, tmp_path, settings) if work(job, "cpu")["status"] == DONE]
+    assert len(worked) == COUNT - 1  # one is damaged
+    for job in worked:
         lf = read(job.item.source)
         expected = estimate_depth(lf, config=settings.config, disparity_range=RANGE, device="cpu")
         assert np.array_equal(read_map(tmp_path / job.item.name / "result.npz"), expected.disparity)
@@ -198,7 +199,7 @@ def test_items_that_cannot_be_looked_at_are_lines_with_a_sentence(scene_folders:
     items, barren = find_items([str(folder)], sequence=False, leave_out=out)
     assert [item.name for item in items] == ["bad\\udcff", "broken", "circle", "good"]
     assert not barren
-    summary = Batch(items, out, FAST).run(local())
+    summary = done(items, out, FAST)
     assert {entry["item"]: entry["status"] for entry in summary.entries.values()} == {
         **{"good": DONE, "bad\\udcff": DONE},
         **{"circle": FAILED, "broken": FAILED},
@@ -238,19 +239,17 @@ def test_names_do_not_lead_out_of_the_folder(
     place.mkdir()
     monkeypatch.chdir(place)
     for text in ("..", "../../scene/below/..", str(place / "..")):
-        items, _ = find_items([text], sequence=False, format_name="hci")
-        assert [item.name for item in items] == ["scene"]
+        assert names(text, format_name="hci") == ["scene"]
     for name in ("manifest.jsonl", ".lfgpu-0123", "a\x1b[2J\nb"):
         shutil.copytree(scene_folders / "scene_0", tmp_path / name)
-        items, _ = find_items([str(tmp_path / name)], sequence=False)
-        assert items[0].name == {"a\x1b[2J\nb": r"a\x1b[2J\nb"}.get(name, f"_{name}")
+        assert names(tmp_path / name) == [{"a\x1b[2J\nb": r"a\x1b[2J\nb"}.get(name, f"_{name}")]
 
 
 def test_depth_of_a_name_that_is_not_utf_8_is_saved(scene_folders: Path, tmp_path: Path) -> None:
     folder = os.fsdecode(os.fsencode(tmp_path) + b"/bad\xff")
     shutil.copytree(scene_folders / "scene_0", folder)
-    done = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
-    assert done.exit_code == 0, done.output
+    outcome = lfgpu("depth", folder, "-o", tmp_path / "out", "--report", "--preset=fast", "--disparity-range=-1.2,1.2")
+    assert outcome.code == 0, outcome.err
     assert load_result(tmp_path / "out" / "result.npz").name == "bad\\udcff"
 
 
@@ -278,11 +277,11 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(
 ) -> None:
     monkeypatch.setattr("lfgpu.batch.cluster._CONNECTING", 0.5)
     outcome = lfgpu("batch", scene_folders, "-o", tmp_path, "--scheduler", "tcp://127.0.0.1:9")
-    assert outcome.exit_code == 1
+    assert outcome.code == 1
     assert re.fullmatch(
         r"lfgpu: the scheduler tcp://127\.0\.0\.1:9 does not answer \(.*\); check the address, and that it is "
         r"running\.\n",
-        outcome.stderr,
+        outcome.err,
     )
 
 

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from batch_runs import FAST, SLOW, jobs, lfgpu
+from batch_runs import FAST, SLOW, done, jobs
+from command_line import lfgpu
 from PIL import Image
 
 from lfgpu import LightField, LightFieldError, scenes
@@ -25,6 +26,7 @@ from lfgpu.batch.work import Settings, work
 from lfgpu.io import REPORT_FILE, load, write_hci
 from lfgpu.methods import PRESETS
 from lfgpu.viz.colours import UNDEFINED
+from tests.made import masked
 
 
 @pytest.fixture(scope="module")
@@ -49,18 +51,14 @@ def test_the_last_line_of_an_item_holds_and_half_lines_are_skipped(tmp_path: Pat
 
 def test_times_and_names_that_cannot_be(scene_folders: Path, tmp_path: Path) -> None:
     items = find_items([str(scene_folders / "scene_0")], sequence=False)[0]
-    done = {"item": "scene_0", "status": DONE}
-    lines = [
-        {**done, "began": 1e15},
-        {**done, "began": -1},
-        {**done, "seconds": 1e12},
-        {**done, "sizes": {"\ud800": 1}},
-    ]
+    entry = {"item": "scene_0", "status": DONE}
+    wrong = {"began": 1e15}, {"began": -1}, {"seconds": 1e12}, {"sizes": {"\ud800": 1}}
+    lines = [{**entry, **one} for one in wrong]
     (tmp_path / MANIFEST_FILE).write_text("".join(json.dumps(line) + "\n" for line in lines))
     entries = read_manifest(tmp_path)
     assert damaged_lines(tmp_path) == 3
     assert standing(entries, tmp_path) == {}
-    last = {**done, "began": 0.99e11, "seconds": 0.99e11}
+    last = {**entry, "began": 0.99e11, "seconds": 0.99e11}
     write_report(Summary(items, {"scene_0": last}), tmp_path, "page")
 
 
@@ -100,8 +98,8 @@ def test_what_is_gone_or_renamed_does_not_stand(tmp_path: Path, clock: int) -> N
 def test_one_batch_at_a_time(tmp_path: Path, scene_folders: Path) -> None:
     with Manifest(tmp_path):
         outcome = lfgpu("batch", scene_folders, "-o", tmp_path)
-        assert outcome.exit_code == 1
-        assert outcome.stderr.startswith("lfgpu: another batch is writing to")
+        assert outcome.code == 1
+        assert outcome.err.startswith("lfgpu: another batch is writing to")
     assert not (tmp_path / "scene_0").exists()
 
 
@@ -139,8 +137,8 @@ with Manifest(out) as manifest:
     assert not manifest.unwritten
 assert list(read_manifest(out)) == ["a", "b", "c"]
 """
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
-    assert done.returncode == 0, done.stderr
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=600)
+    assert ended.returncode == 0, ended.stderr
 
 
 def test_a_report_shows_all_items(scene_folders: Path, finished: Path) -> None:
@@ -164,8 +162,8 @@ def test_a_batch_is_scored_per_item_and_in_total(finished: Path, scene_folders: 
     with Manifest(other) as manifest:
         manifest.add(work(job, "cpu") for job in jobs(scene_folders, other)[:2])
     outcome = lfgpu("eval", finished, other, "-o", tmp_path / "tables")
-    assert outcome.exit_code == 0, outcome.output
-    assert "1 item failed or without ground truth" in outcome.stdout
+    assert outcome.code == 0, outcome.err
+    assert "1 item failed or without ground truth" in outcome.out
     lines = (tmp_path / "tables" / "table.csv").read_text().splitlines()
     assert lines[0] == "scene,method,MSE x100,BadPix 0.07,BadPix 0.03,BadPix 0.01,Q25 x100"
     found = {tuple(line.split(",")[:2]): line.split(",")[2] for line in lines[1:]}
@@ -174,15 +172,15 @@ def test_a_batch_is_scored_per_item_and_in_total(finished: Path, scene_folders: 
     assert float(found["average of 2", finished.name]) == pytest.approx(np.mean(scores))
     assert found["scene_3", "other"] == ""
     assert "\\toprule" in (tmp_path / "tables" / "table.tex").read_text()
-    assert "different parameters" not in outcome.stdout
+    assert "different parameters" not in outcome.out
     with Manifest(other) as manifest:
         manifest.add([{**read_manifest(other)["scene_1"], "parameters_key": "another"}])
     (other / "scene_0" / "disparity.pfm").unlink()
-    assert "1 items are left out" in lfgpu("eval", other).stdout
+    assert "1 items are left out" in lfgpu("eval", other).out
     shutil.copy(finished / "scene_0" / "disparity.pfm", other / "scene_0")
-    assert "The items of other have different parameters" in lfgpu("eval", other).stdout
-    assert lfgpu("eval", finished, "--border", "3").exit_code == 1
-    assert lfgpu("eval", finished).exit_code == 0
+    assert "The items of other have different parameters" in lfgpu("eval", other).out
+    assert lfgpu("eval", finished, "--border", "3").code == 1
+    assert lfgpu("eval", finished).code == 0
 
 
 @pytest.mark.parametrize(
@@ -211,7 +209,7 @@ def test_lines_of_a_manifest_that_were_damaged_are_skipped_and_said(
     batch.summary.damaged = damaged_lines(tmp_path)
     assert len(batch._todo(read_manifest(tmp_path))) == 1
     assert "1 damaged lines were skipped" in write_report(batch.summary, tmp_path, "a").read_text()
-    assert lfgpu("eval", tmp_path).exit_code == 1
+    assert lfgpu("eval", tmp_path).code == 1
 
 
 def test_a_name_that_is_no_text_is_written_out_in_the_report(scene_folders: Path, tmp_path: Path) -> None:
@@ -249,26 +247,16 @@ def folder(lf: LightField, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
-def done(folder: Path, out: Path, settings: Settings = SETTINGS) -> Summary:
-    """A batch, in this process."""
-    items = find_items([str(folder)], sequence=False, leave_out=out)[0]
-    batch = Batch(items, out, settings)
-    with Manifest(out) as manifest:
-        for job in batch._todo(read_manifest(out)):
-            entry = work(job, "cpu")
-            batch.summary.entries[job.item.name] = entry
-            if entry["status"] == "done":
-                batch.summary.computed += 1
-            else:
-                batch.summary.failed.append(entry)
-            manifest.add([entry])
-    return batch.summary
+def items_in(folder: Path, out: Path) -> list[Item]:
+    return find_items([str(folder)], sequence=False, leave_out=out)[0]
 
 
 @pytest.fixture(scope="module")
 def out(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("out")
-    write_report(done(folder, place, replace(SETTINGS, report=True, command="lfgpu batch …")), place, "many")
+    write_report(
+        done(items_in(folder, place), place, replace(SETTINGS, report=True, command="lfgpu batch …")), place, "many"
+    )
     return place
 
 
@@ -289,9 +277,7 @@ def test_pictures_are_a_view_and_its_map_with_grey_holes(out: Path, lf: LightFie
 def test_undefined_pixels_of_thumbnails_are_grey_and_out_of_the_scale(
     lf: LightField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    valid = np.ones(lf.views.shape[:3], bool)
-    valid[(slice(None), *HOLE)] = False
-    monkeypatch.setattr("lfgpu.batch.work._read", lambda *_: replace(lf, valid=valid))
+    monkeypatch.setattr("lfgpu.batch.work._read", lambda *_: masked(lf, (slice(None), *HOLE)))
     entry = work(_jobs([Item("a", str(tmp_path))], tmp_path / "out", SETTINGS)[0], "cpu")
     with Image.open(tmp_path / "out" / "a" / PREVIEW_FILE) as image:
         map_ = np.asarray(image.convert("RGB"))
@@ -305,7 +291,7 @@ def test_the_page_says_how_much_is_done_by_which_preset(out: Path, folder: Path)
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "66.67 % done" in page
     assert "preset fast" in page
-    again = Batch(find_items([str(folder)], sequence=False, leave_out=out)[0], out, SETTINGS)
+    again = Batch(items_in(folder, out), out, SETTINGS)
     again.summary.settings = replace(SETTINGS, config=PRESETS["fast"].with_values({"sweep.step": 0.5}))
     assert ("preset", "fast with 1 parameter changed") in facts(again.summary)
 
@@ -318,17 +304,17 @@ def test_items_have_reports_where_they_are_asked_for(out: Path, folder: Path, tm
     assert str(folder / "item_2") in report
 
     plain = tmp_path / "plain"
-    write_report(done(folder, plain), plain, "plain")
+    write_report(done(items_in(folder, plain), plain, SETTINGS), plain, "plain")
     assert 'href="item_2/"' in (plain / "report.html").read_text(encoding="utf-8")
     assert not (plain / "item_2" / REPORT_FILE).exists()
-    items = find_items([str(folder)], sequence=False, leave_out=plain)[0]
+    items = items_in(folder, plain)
     assert [job.item.name for job in Batch(items, plain, SETTINGS)._todo(read_manifest(plain))] == ["bad"]
     asked = Batch(items, plain, replace(SETTINGS, report=True))._todo(read_manifest(plain))
     assert len(asked) == 3, "reports that were not asked for before are written now"
-    done(folder, plain, replace(SETTINGS, report=True))
+    done(items, plain, replace(SETTINGS, report=True))
     assert (plain / "item_2" / REPORT_FILE).exists()
     other = replace(SETTINGS, config=PRESETS["fast"].with_values({"sweep.step": 0.5}))
-    done(folder, plain, other)
+    done(items, plain, other)
     assert not (plain / "item_2" / REPORT_FILE).exists(), "that of another result is gone"
 
 

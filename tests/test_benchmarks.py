@@ -11,12 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import (
-    clock,
-    pipelines,
-    results,
-    suite,
-)
+from benchmarks import clock, pipelines, results, suite
 from benchmarks.cases import CASES
 from benchmarks.cli import app
 from benchmarks.compare import compare

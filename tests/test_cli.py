@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import OUTPUTS, RANGE, SMALL, Outcome, boxes, holes, lfgpu, refused
+from command_line import OUTPUTS, RANGE, SMALL, Outcome, boxes, holes, lfgpu, refused, said
 from PIL import Image
 
-from lfgpu import get_threads, list_backends, scenes, set_threads
+from lfgpu import get_threads, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import demo, summary
 from lfgpu.data.lightfield import LightField
@@ -90,25 +90,23 @@ def test_scores_and_confidence_are_those_of_the_package(of: str, solved: tuple[P
 
 
 def test_a_map_alone_has_no_confidence_to_look_at(solved: tuple[Path, Outcome], recorded: Path) -> None:
-    outcome = lfgpu("eval", solved[0] / "disparity.pfm", recorded)
-    assert outcome.code == 0
-    assert "AUSE" not in outcome.out
+    text = said("eval", solved[0] / "disparity.pfm", recorded)
+    assert "AUSE" not in text
 
 
 def test_depth_with_options(views: Path, out: Path) -> None:
     holes(views)
-    outcome = lfgpu(
+    text = said(
         "depth", views, "-o", out, "--allow-missing", "--views", "cross", "--reference-view", "2,1", *RANGE,
         "--set", "refinement.max_iterations=1", "--set", "prior.window=5", "--backend", "warp", "--device", "cpu",
         "--format", "hci", "--preset", "paper",
     )  # fmt: skip
-    assert outcome.code == 0, outcome.err
     result = load(out / "result.npz")
     assert result.position == (1, 2)
     assert len(result.trace) <= 2
     assert result.config.prior.window == 5
-    assert "belongs to the view at row 2, column 2, not to the reference view" in outcome.out
-    assert "8 of 25" in outcome.out  # the cross without one of the holes
+    assert "belongs to the view at row 2, column 2, not to the reference view" in text
+    assert "8 of 25" in text  # the cross without one of the holes
 
 
 def test_quiet_says_nothing(recorded: Path, out: Path) -> None:
@@ -118,9 +116,8 @@ def test_quiet_says_nothing(recorded: Path, out: Path) -> None:
 
 
 def test_maps_of_all_views_lie_beside_that_of_the_reference(recorded: Path, scene: LightField, out: Path) -> None:
-    outcome = lfgpu("depth", recorded, "-o", out, "--all-views", "--preset", "fast", *RANGE)
-    assert outcome.code == 0, outcome.err
-    assert "disparities.npz" in outcome.out
+    text = said("depth", recorded, "-o", out, "--all-views", "--preset", "fast", *RANGE)
+    assert "disparities.npz" in text
     assert {file.name for file in out.iterdir()} == OUTPUTS | {"disparities.npz"}
     with np.load(out / "disparities.npz") as maps:
         assert maps["disparities"].shape == maps["confidences"].shape == maps["depths"].shape == scene.views.shape[:3]
@@ -135,19 +132,17 @@ def test_maps_of_all_views_lie_beside_that_of_the_reference(recorded: Path, scen
 
 def test_a_map_within_the_border_is_not_scored(tmp_path: Path, out: Path) -> None:
     write_hci(scenes.make("relief", grid=(3, 3), size=(24, 40)), tmp_path / "small")
-    outcome = lfgpu("depth", tmp_path / "small", "-o", out, *RANGE)
-    assert outcome.code == 0, outcome.err
-    assert "cannot be scored" in outcome.out
+    text = said("depth", tmp_path / "small", "-o", out, *RANGE)
+    assert "cannot be scored" in text
     assert {file.name for file in out.iterdir()} == OUTPUTS
 
 
 def test_without_geometry_there_is_no_depth(views: Path, out: Path) -> None:
     for name in ("parameters.cfg", "gt_disp_lowres.pfm", "gt_depth_lowres.pfm"):
         (views / name).unlink()
-    outcome = lfgpu("depth", views, "-o", out, *RANGE, "--set=alignment.iterations=1")
-    assert outcome.code == 0, outcome.err
+    text = said("depth", views, "-o", out, *RANGE, "--set=alignment.iterations=1")
     assert {file.name for file in out.iterdir()} == OUTPUTS - {"depth.pfm"}
-    assert "ground truth" not in outcome.out
+    assert "ground truth" not in text
 
 
 # --- info ---
@@ -179,20 +174,14 @@ def test_info_reports_missing_views(views: Path) -> None:
     assert "hci, as told" in said
 
 
-def test_info_of_what_is_no_light_field(tmp_path: Path) -> None:
-    refused(lfgpu("info", tmp_path / "nowhere"), "does not exist")
-    refused(lfgpu("info", tmp_path), "an empty folder")
-
-
 # --- scene ---
 
 
 def test_scene_writes_what_make_makes(tmp_path: Path) -> None:
-    outcome = lfgpu(
+    said(
         "scene", "planes", "-o", tmp_path / "s", "--seed", 3, "--grid", "3x5", "--size", "24x32",
         "--disparity-range=-1,1", "--noise", 0.01,
     )  # fmt: skip
-    assert outcome.code == 0, outcome.err
     expected = scenes.make("planes", seed=3, grid=(3, 5), size=(24, 32), disparity_range=(-1, 1), noise=0.01)
     found = read(tmp_path / "s")
     np.testing.assert_array_equal(found.views, expected.views)
@@ -229,12 +218,9 @@ def test_interrupted_frames_leave_nothing(tmp_path: Path, monkeypatch: pytest.Mo
         (["boxes", "--frames=2"], "needs a scene that moves"),
         (["moving", "--frames=0"], "frames"),
         (["boxes", "--grid=3"], "ROWSxCOLUMNS such as 9x9"),
-        (["boxes", "--grid=1x1"], "at least two views"),
         (["boxes", "--grid=2.5x3"], "ROWSxCOLUMNS such as 9x9"),
         (["boxes", "--size=infx8"], "HEIGHTxWIDTH such as 512x512"),
         (["boxes", "--size=-8x8"], "size must be"),
-        (["boxes", "--noise=nan"], "noise must be"),
-        (["boxes", "--seed=-1"], "seed must be"),
         (["boxes", "--disparity-range=1,0"], "LOW below HIGH"),
     ],
 )
@@ -308,13 +294,6 @@ def test_backends_shows_what_is_here_and_how_to_get_what_is_not(monkeypatch: pyt
     ]
 
 
-def test_backends_has_a_row_for_each_that_there_is() -> None:
-    outcome = lfgpu("backends")
-    assert outcome.code == 0
-    for backend in list_backends():
-        assert re.search(rf"^ {backend} ", outcome.out, re.MULTILINE)
-
-
 def test_devices_without_a_known_name_have_none() -> None:
     assert device_name("tpu:0") is None
     assert device_name("cuda:999") is None
@@ -332,8 +311,7 @@ def _threads_as_before() -> Iterator[None]:
 
 @pytest.mark.usefixtures("_threads_as_before")
 def test_threads_are_used_and_change_nothing(solved: tuple[Path, Outcome], recorded: Path, out: Path) -> None:
-    outcome = lfgpu("depth", recorded, "-o", out, "--threads", 3, *RANGE)
-    assert outcome.code == 0, outcome.err
+    said("depth", recorded, "-o", out, "--threads", 3, *RANGE)
     assert get_threads() == 3
     np.testing.assert_array_equal(read_map(out / "disparity.pfm"), read_map(solved[0] / "disparity.pfm"))
 

@@ -1,36 +1,17 @@
 """`lfgpu depth --save`, `convert`, `render`, and `eval` of what they wrote."""
 
-import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from command_line import RANGE, lfgpu, refused, said
 from PIL import Image
-from typer.testing import CliRunner
 
-import lfgpu
-from lfgpu import PRESETS, scenes
-from lfgpu.cli import app
+from lfgpu import PRESETS, evaluate, load, point_cloud, read, refocus, render_view, scenes
 from lfgpu.io import write_hci
 
-RANGE = ("--disparity-range", "-2,2")
 SAVED = ("map.exr", "map.tif", "map16.png", "cloud.ply", "map.npz", "map.pfm")
-
-
-def run(*arguments: object) -> str:
-    """Run a command that succeeds and return its output."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == 0, result.output
-    return result.stdout
-
-
-def refused(words: str, *arguments: object) -> None:
-    """Exactly one sentence on stderr, with those words in it."""
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert result.exit_code == 1, result.output
-    assert re.fullmatch(r"lfgpu: [^\n]*\.\n", result.stderr), result.stderr
-    assert words in result.stderr
 
 
 @pytest.fixture(scope="module")
@@ -44,21 +25,21 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def solved(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("solved") / "out"
     saves = [word for name in SAVED for word in ("--save", name)]
-    said = run("depth", recorded, "-o", out, "--all-views", "--preset", "fast", *RANGE, *saves)
-    assert all(name in said for name in SAVED)
+    text = said("depth", recorded, "-o", out, "--all-views", "--preset", "fast", *RANGE, *saves)
+    assert all(name in text for name in SAVED)
     return out
 
 
-def scores(said: str) -> list[str]:
+def scores(text: str) -> list[str]:
     """The last row of the table of scores, without its name."""
-    rows = [line.split() for line in said.splitlines() if line.count(" %") == 4]
+    rows = [line.split() for line in text.splitlines() if line.count(" %") == 4]
     return rows[-1][1:]
 
 
 def test_every_saved_map_scores_as_the_result_does(recorded: Path, solved: Path) -> None:
-    read = [name for name in SAVED if not name.endswith(".ply")]
-    true, *found = (scores(run("eval", path, recorded)) for path in (solved, *(solved / name for name in read)))
-    for name, one in zip(read, found, strict=True):
+    names = [name for name in SAVED if not name.endswith(".ply")]
+    true, *found = (scores(said("eval", path, recorded)) for path in (solved, *(solved / name for name in names)))
+    for name, one in zip(names, found, strict=True):
         if name == "map16.png":
             np.testing.assert_allclose(float(one[0]), float(true[0]), rtol=0.01)
         else:
@@ -66,18 +47,11 @@ def test_every_saved_map_scores_as_the_result_does(recorded: Path, solved: Path)
 
 
 def test_maps_of_all_views_are_scored(recorded: Path, solved: Path) -> None:
-    lf, maps = lfgpu.read(recorded), lfgpu.load(solved / "disparities.npz")
-    metrics = lfgpu.evaluate(maps.disparities[lf.reference_index], lf.truth.disparity)
-    found = scores(run("eval", solved / "disparities.npz", recorded))
+    lf, maps = read(recorded), load(solved / "disparities.npz")
+    metrics = evaluate(maps.disparities[lf.reference_index], lf.truth.disparity)
+    found = scores(said("eval", solved / "disparities.npz", recorded))
     assert float(found[0]) == pytest.approx(metrics.mse_100, abs=1e-3)
-    assert scores(run("eval", solved / "disparities.npz", recorded / "gt_disp_lowres.pfm")) == found
-
-
-def test_the_cloud_has_the_colours_of_the_view(recorded: Path, solved: Path) -> None:
-    lf, result = lfgpu.read(recorded), lfgpu.load(solved)
-    cloud = trimesh.load(solved / "cloud.ply", process=False)
-    np.testing.assert_array_equal(cloud.colors[:, :3], lf.views[lf.reference_index].reshape(-1, 3))
-    np.testing.assert_allclose(cloud.vertices[:, 2], result.depth.ravel(), rtol=1e-6)
+    assert scores(said("eval", solved / "disparities.npz", recorded / "gt_disp_lowres.pfm")) == found
 
 
 def test_names_to_save_are_checked_before_anything_is_read(
@@ -90,47 +64,45 @@ def test_names_to_save_are_checked_before_anything_is_read(
         ("result.npz", "another output"),
         ("disparity.png", "another output"),
     ):
-        refused(words, "depth", recorded, "-o", tmp_path / "out", "--save", name)
+        refused(lfgpu("depth", recorded, "-o", tmp_path / "out", "--save", name), words)
     assert not list(tmp_path.iterdir())
 
 
 def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
-    maps = lfgpu.load(solved / "disparities.npz")
-    run("convert", solved, "-o", tmp_path / "a.tif")
-    np.testing.assert_array_equal(lfgpu.load(tmp_path / "a.tif").disparity, maps.reference.disparity)
-    run("convert", solved / "disparities.npz", "--view", "0,2", "-o", tmp_path / "b.ply", "--image", recorded)
+    maps = load(solved / "disparities.npz")
+    said("convert", solved, "-o", tmp_path / "a.tif")
+    np.testing.assert_array_equal(load(tmp_path / "a.tif").disparity, maps.reference.disparity)
+    said("convert", solved / "disparities.npz", "--view", "0,2", "-o", tmp_path / "b.ply", "--image", recorded)
     cloud = trimesh.load(tmp_path / "b.ply", process=False)
     known = np.isfinite(maps.disparities[2])
     np.testing.assert_array_equal(cloud.metadata["_ply_raw"]["vertex"]["data"]["disparity"], maps.disparities[2][known])
     assert known.mean() > 0.99
-    np.testing.assert_array_equal(cloud.colors[:, :3], lfgpu.read(recorded).views[2][known])
+    np.testing.assert_array_equal(cloud.colors[:, :3], read(recorded).views[2][known])
     # all views' clouds are of one frame: where both see the same, their points are the same
-    a, b = (lfgpu.point_cloud(maps.map(n)).points for n in (2, 4))
+    a, b = (point_cloud(maps.map(n)).points for n in (2, 4))
     distance = np.linalg.norm(b[:, None, :] - a[None, ::7], axis=2).min(0)
     assert (distance > 0.1).mean() < 0.08  # metres, at 4 to 8 m, pixels being 0.05 to 0.1 m apart
     assert distance.max() < 0.4
 
-    refused(
-        "no map of a view at row 9", "convert", solved / "disparities.npz", "--view", "9,9", "-o", tmp_path / "c.tif"
-    )
-    refused("holds a single map", "convert", solved, "--view", "1,1", "-o", tmp_path / "c.tif")
-    refused("stored as .pfm", "convert", solved, "-o", tmp_path / "c.jpg")
-    refused("No such file", "convert", tmp_path / "none.npz", "-o", tmp_path / "c.tif")
-    refused("does not say which view", "convert", solved / "map.pfm", "-o", tmp_path / "c.ply", "--image", recorded)
+    for words, *wrong in (
+        ("no map of a view at row 9", solved / "disparities.npz", "--view", "9,9", "-o", tmp_path / "c.tif"),
+        ("holds a single map", solved, "--view", "1,1", "-o", tmp_path / "c.tif"),
+        ("stored as .pfm", solved, "-o", tmp_path / "c.jpg"),
+        ("No such file", tmp_path / "none.npz", "-o", tmp_path / "c.tif"),
+        ("does not say which view", solved / "map.pfm", "-o", tmp_path / "c.ply", "--image", recorded),
+    ):
+        refused(lfgpu("convert", *wrong), words)
     assert {file.name for file in tmp_path.iterdir()} == {"a.tif", "b.ply"}
 
 
 def test_render_images(recorded: Path, solved: Path, tmp_path: Path) -> None:
-    lf, maps = lfgpu.read(recorded), lfgpu.load(solved / "disparities.npz")
-    assert "filled from their surroundings" in run(
+    lf, maps = read(recorded), load(solved / "disparities.npz")
+    assert "filled from their surroundings" in said(
         "render", recorded, "--maps", solved, "--view", "0.5,1.25", "-o", tmp_path / "v.png"
     )
-    run("render", recorded, "--refocus", "0.7", "-o", tmp_path / "r.png")
-    run("render", recorded, "--maps", solved, "--all-in-focus", "--reference-view", "0,1", "-o", tmp_path / "a.png")
-    expected = {
-        "v.png": lfgpu.render_view(lf, maps, 0.5, 1.25).image,
-        "r.png": lfgpu.refocus(lf, 0.7),
-    }
+    said("render", recorded, "--refocus", "0.7", "-o", tmp_path / "r.png")
+    said("render", recorded, "--maps", solved, "--all-in-focus", "--reference-view", "0,1", "-o", tmp_path / "a.png")
+    expected = {"v.png": render_view(lf, maps, 0.5, 1.25).image, "r.png": refocus(lf, 0.7)}
     for name, image in expected.items():
         stored = np.asarray(Image.open(tmp_path / name))
         np.testing.assert_allclose(stored / 255, image, atol=0.51 / 255)
@@ -142,7 +114,7 @@ def test_render_images(recorded: Path, solved: Path, tmp_path: Path) -> None:
 def loose(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Six of the views, one after the other and from right to left: only options say how they stand."""
     file = tmp_path_factory.mktemp("loose") / "views.npy"
-    lf = lfgpu.read(recorded)
+    lf = read(recorded)
     np.save(file, lf.views.reshape(3, 3, *lf.views.shape[1:])[:2, ::-1].reshape(6, *lf.views.shape[1:]))
     return file
 
@@ -151,28 +123,29 @@ READ = ("--format", "numpy", "--grid", "2x3", "--flip", "u")
 
 
 def test_render_reads_as_depth_does(recorded: Path, loose: Path, tmp_path: Path) -> None:
-    refused("6 views", "render", loose, "--refocus", "0.7", "-o", tmp_path / "r.png")
-    run("render", loose, *READ, "--reference-view", "1,1", "--refocus", "0.7", "-o", tmp_path / "r.png")
-    lf = lfgpu.read(loose, grid=(2, 3), flip="u")
-    expected = lfgpu.refocus(lf.with_reference(lf.index_of(1, 1)), 0.7)
+    refused(lfgpu("render", loose, "--refocus", "0.7", "-o", tmp_path / "r.png"), "6 views")
+    said("render", loose, *READ, "--reference-view", "1,1", "--refocus", "0.7", "-o", tmp_path / "r.png")
+    lf = read(loose, grid=(2, 3), flip="u")
+    expected = refocus(lf.with_reference(lf.index_of(1, 1)), 0.7)
     stored = np.asarray(Image.open(tmp_path / "r.png")) / 255
     np.testing.assert_allclose(stored, expected, atol=0.51 / 255)
-    np.testing.assert_array_equal(lf.view(1, 1), lfgpu.read(recorded).view(1, 1))
+    np.testing.assert_array_equal(lf.view(1, 1), read(recorded).view(1, 1))
     for option in (("--every", "2"), ("--format", "nonsense"), ("--flip", "w"), ("--grid", "2")):
-        refused(option[0].strip("-"), "render", loose, *option, "--refocus", "0.7", "-o", tmp_path / "no.png")
+        outcome = lfgpu("render", loose, *option, "--refocus", "0.7", "-o", tmp_path / "no.png")
+        refused(outcome, option[0].strip("-"))
 
 
 @pytest.mark.parametrize(
     "name", [name if name in ("fast", "paper") else pytest.param(name, marks=pytest.mark.thorough) for name in PRESETS]
 )
 def test_render_with_any_preset(name: str, recorded: Path, tmp_path: Path) -> None:
-    run("render", recorded, "--view", "1,0.5", "-o", tmp_path / f"{name}.png", "--preset", name, *RANGE, "-q")
+    said("render", recorded, "--view", "1,0.5", "-o", tmp_path / f"{name}.png", "--preset", name, *RANGE, "-q")
     assert Image.open(tmp_path / f"{name}.png").size == (56, 48)
 
 
 @pytest.mark.parametrize("sweep", ["circle", "across", "down", "focus"])
 def test_render_films(sweep: str, recorded: Path, solved: Path, tmp_path: Path) -> None:
-    run("render", recorded, "--maps", solved, "--sweep", sweep, "--frames", 4, "-o", tmp_path / "a.gif")
+    said("render", recorded, "--maps", solved, "--sweep", sweep, "--frames", 4, "-o", tmp_path / "a.gif")
     with Image.open(tmp_path / "a.gif") as film:
         assert (film.n_frames, film.size) == (4, (56, 48))
         first = np.asarray(film.convert("RGB")).astype(float)
@@ -194,5 +167,5 @@ def test_wrong_options_of_render(recorded: Path, solved: Path, tmp_path: Path) -
         ("does not hold maps of all views", "--maps", solved / "result.npz", "--view", "1,1", "-o", out),
         ("frames per second", "--sweep", "focus", "--maps", solved, "--fps", "0", "-o", tmp_path / "a.gif"),
     ):
-        refused(words, "render", recorded, *options)
+        refused(lfgpu("render", recorded, *options), words)
     assert not list(tmp_path.iterdir())

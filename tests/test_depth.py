@@ -18,6 +18,7 @@ from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.method import Synthesis
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.pipelines import estimate as depth
+from tests.made import masked
 
 RANGE, WIDE = (-1.5, 1.5), (-3.0, 3.0)
 CONVERGED = SynthesisConfig().with_values({"refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
@@ -52,6 +53,11 @@ def estimated(**options: Any) -> DepthResult:
 
 
 @cache
+def quick() -> DepthResult:
+    return estimate_depth(small(), disparity_range=RANGE, config=QUICK, device="cpu")
+
+
+@cache
 def converged(solver: str) -> DepthResult:
     config = CONVERGED.with_values({"refinement.solver": solver})
     return estimate_depth(tiny(), config=config, disparity_range=RANGE, device="cpu")
@@ -75,11 +81,6 @@ def test_each_stage_is_better_than_the_one_before_and_the_last_within_two_hundre
     rmse = {stage: score.rmse for stage, score in scores(lf, estimate_depth(lf)).items()}
     assert rmse["refine"] < rmse["propagate"] < rmse["local"]
     assert rmse["refine"] < 0.015
-
-
-def test_refined_map_of_a_wide_relief_is_within_two_hundredths_of_a_pixel() -> None:
-    wide = {"disparity_range": WIDE, "size": (144, 144)}  # as steep as the narrow one needs more room
-    assert scores(relief(**wide), estimated(**wide))["refine"].rmse < 0.02
 
 
 @pytest.mark.parametrize(("name", "noise"), [("textureless", 0.0), ("relief", 0.02)], ids=["textureless", "noisy"])
@@ -134,10 +135,12 @@ def test_other_kinds_of_values_give_the_same_map() -> None:
     colour = LightField(np.repeat(grey.views, 3, axis=3), grey.positions, reference=grey.reference)
     one, other = (estimate_depth(lf, config=QUICK, disparity_range=RANGE).disparity for lf in (grey, colour))
     assert difference(one, other, 0.5) < 1e-3  # 95 % of them are below 0.011 only
-    stored = (estimate_depth(tiny(dtype=dtype), config=QUICK, disparity_range=RANGE) for dtype in ("float32", "uint16"))
-    assert difference(*(result.disparity for result in stored)) < 1e-3
-    fine = estimate_depth(small(dtype="float32"), disparity_range=RANGE, device="cpu")
-    assert difference(fine.disparity, upright().disparity) < 0.01
+    fine, stored, coarse = (
+        estimate_depth(tiny(dtype=dtype), config=QUICK, disparity_range=RANGE).disparity
+        for dtype in ("float32", "uint16", "uint8")
+    )
+    assert difference(fine, stored) < 1e-3
+    assert difference(fine, coarse, 0.5) < 0.02
 
 
 @cache
@@ -154,9 +157,7 @@ def mirrored(lf: LightField) -> LightField:
 
 
 @pytest.mark.parametrize(
-    ("turn", "back"),
-    [(transposed, np.transpose), (mirrored, np.fliplr)],
-    ids=["transposed", "mirrored"],
+    ("turn", "back"), [(transposed, np.transpose), (mirrored, np.fliplr)], ids=["transposed", "mirrored"]
 )
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
     one, other = upright(), estimate_depth(turn(small()), disparity_range=RANGE)
@@ -168,11 +169,11 @@ def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
 def test_views_masked_out_are_views_left_out() -> None:
     """Off the reference's row and column, so that the local estimate has nothing to do with them."""
     lf = small()
-    masked = [0, 4, 8, 20]
-    views, valid = lf.views.copy(), np.ones(lf.views.shape[:3], bool)
-    views[masked], valid[masked] = 255 - views[masked], False
-    broken = LightField(views, lf.positions, reference=lf.reference, valid=valid)
-    left = lf.subset([index for index in range(25) if index not in masked])
+    lost = [0, 4, 8, 20]
+    views = lf.views.copy()
+    views[lost] = 255 - views[lost]
+    broken = replace(masked(lf, lost), views=views)
+    left = lf.subset([index for index in range(25) if index not in lost])
     one, other = (estimate_depth(field, disparity_range=RANGE) for field in (broken, left))
     # The energies differ by the number of views that they are averaged over, the minima by what that changes.
     assert difference(one.disparity, other.disparity) < 5e-3
@@ -180,23 +181,11 @@ def test_views_masked_out_are_views_left_out() -> None:
 
 def test_masked_pixels_do_not_count() -> None:
     lf = small()
-    corners = [0, 4, 20, 24]
-    valid = np.ones(lf.views.shape[:3], bool)
-    valid[corners, :20, :20] = False
-    garbage = lf.views.copy()
-    garbage[corners, :20, :20] = 255
-    fields = (LightField(views, lf.positions, reference=lf.reference, valid=valid) for views in (lf.views, garbage))
-    one, other = (estimate_depth(field, config=QUICK, disparity_range=RANGE) for field in fields)
+    known = masked(lf, np.s_[[0, 4, 20, 24], :20, :20])
+    garbage = replace(known, views=np.where(known.valid[..., None], lf.views, 255).astype(np.uint8))
+    one, other = (estimate_depth(field, config=QUICK, disparity_range=RANGE) for field in (known, garbage))
     assert difference(one.disparity, other.disparity) < 1e-3
     assert np.abs(one.disparity - other.disparity).max() < 0.05
-
-
-def test_results_are_the_same_again_and_a_preset_is_its_parameters() -> None:
-    one, other = upright(), estimate_depth(small(), disparity_range=RANGE, config=preset("paper"), device="cpu")
-    assert one.config == preset("paper")
-    np.testing.assert_array_equal(one.disparity, other.disparity)
-    np.testing.assert_array_equal(one.confidence, other.confidence)
-    assert one.trace == other.trace
 
 
 # --- the result ---
@@ -208,7 +197,7 @@ def test_results_are_float32_maps_within_the_range() -> None:
     for stage in ("local", "propagate", "refine"):
         assert np.float32(-0.5) <= np.nanmin(result.stages[stage])
         assert np.nanmax(result.stages[stage]) <= np.float32(0.75)
-    result = estimate_depth(small(), disparity_range=RANGE, config=QUICK)
+    result = quick()
     lines = ["local_row", "coherence_row", "local_column", "coherence_column"]
     assert list(result.stages) == [*lines, "local", "propagate", "refine"]
     for values in (result.disparity, result.confidence, result.depth, *result.stages.values()):
@@ -229,7 +218,7 @@ def test_confidence_lies_between_0_and_1_and_is_low_where_there_is_nothing_to_se
 
 def test_depth_is_that_of_the_geometry() -> None:
     lf = small()
-    result = estimate_depth(lf, disparity_range=RANGE, config=QUICK)
+    result = quick()
     assert result.depth is not None
     np.testing.assert_allclose(result.depth, lf.geometry.depth(result.disparity), rtol=1e-6)
     without = LightField(lf.views, lf.positions, reference=lf.reference)
@@ -237,7 +226,7 @@ def test_depth_is_that_of_the_geometry() -> None:
 
 
 def test_result_says_how_it_came_about() -> None:
-    result = estimate_depth(small(), disparity_range=RANGE, config=QUICK, device="cpu")
+    result = quick()
     assert set(result.timings) == {"compile", "measure", *STAGES, "total"}
     assert 0 < max(result.timings[stage] for stage in STAGES) <= result.timings["total"]
     assert sum(result.timings[stage] for stage in STAGES) <= result.timings["total"]
@@ -258,7 +247,7 @@ def test_solvers_of_the_refinement_find_the_same_map() -> None:
 
 
 def test_energy_falls_and_convergence_is_said() -> None:
-    whole, cut = estimated(), estimate_depth(small(), disparity_range=RANGE, config=QUICK)
+    whole, cut = estimated(), quick()
     assert (np.diff(whole.trace) <= 0).all()
     assert whole.converged
     assert not cut.converged
@@ -325,21 +314,21 @@ def test_progress_is_reported_stage_by_stage() -> None:
 
 
 def test_views_are_left_as_they_were() -> None:
-    lf = small()
-    before = lf.views.copy()
-    estimate_depth(lf, disparity_range=RANGE, config=QUICK)
-    np.testing.assert_array_equal(lf.views, before)
+    before = small().views.copy()
+    quick.__wrapped__()
+    np.testing.assert_array_equal(small().views, before)
 
 
 # --- errors ---
 
 
-@pytest.mark.parametrize(
-    "wrong", [(1.0, 1.0), (2.0, -2.0), (float("nan"), 1.0), (0.0, float("inf"))], ids=str
-)  # fmt: skip
-def test_a_wrong_range_is_refused(wrong: tuple[float, float]) -> None:
-    with pytest.raises(LightFieldError, match="disparity range must be two finite numbers, low < high"):
-        estimate_depth(small(), disparity_range=wrong)
+def test_wrong_ranges_are_refused_at_once() -> None:
+    for wrong in ((1.0, 1.0), (2.0, -2.0), (float("nan"), 1.0), (0.0, float("inf"))):
+        with pytest.raises(LightFieldError, match="disparity range must be two finite numbers, low < high"):
+            estimate_depth(small(), disparity_range=wrong)
+    for beyond in ((-1e9, 1e9), (50.0, 70.0)):
+        with pytest.raises(LightFieldError, match="it shifts even the nearest view by"):
+            estimate_depth(small(), disparity_range=beyond)
 
 
 def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
@@ -351,19 +340,15 @@ def test_a_reference_alone_in_its_row_and_column_is_refused() -> None:
         estimate_depth(diagonal)
 
 
-@pytest.mark.parametrize(
-    ("disparity_range", "words"), [(None, "disparity range cannot be found"), (RANGE, "coherent")], ids=str
-)
-def test_views_without_any_texture_are_refused(disparity_range: tuple[float, float] | None, words: str) -> None:
+def test_views_without_any_texture_are_refused() -> None:
     flat = LightField.from_grid(np.full((3, 3, 40, 40, 3), 128, np.uint8))
-    with pytest.raises(LightFieldError, match=words):
-        estimate_depth(flat, disparity_range=disparity_range)
-
-
-@pytest.mark.parametrize("bad", [(-1e9, 1e9), (50.0, 70.0)])
-def test_disparities_beyond_the_picture_are_refused_at_once(bad: tuple[float, float]) -> None:
-    with pytest.raises(LightFieldError, match="it shifts even the nearest view by"):
-        estimate_depth(small(), disparity_range=bad)
+    for config, bounds, words in (
+        ("paper", None, "disparity range cannot be found"),
+        ("paper", RANGE, "coherent"),
+        ("accurate", RANGE, "no pixel shows anything"),
+    ):
+        with pytest.raises(LightFieldError, match=words):
+            estimate_depth(flat, config=config, disparity_range=bounds)
 
 
 def test_a_config_of_another_kind_is_refused() -> None:
@@ -373,10 +358,9 @@ def test_a_config_of_another_kind_is_refused() -> None:
 
 def test_what_is_masked_in_the_reference_is_not_known_and_leaves_what_is_around_it() -> None:
     lf = relief()
-    reference, hole = lf.reference_index, np.s_[40:56, 40:56]
-    views, valid = lf.views.copy(), np.ones(lf.views.shape[:3], bool)
-    views[reference][hole] = np.random.default_rng(0).integers(0, 256, (16, 16, 3))
-    valid[reference][hole] = False
-    error = np.abs(estimate_depth(replace(lf, views=views, valid=valid)).disparity - lf.truth.disparity)  # type: ignore[union-attr]
+    hole, views = np.s_[40:56, 40:56], lf.views.copy()
+    views[lf.reference_index][hole] = np.random.default_rng(0).integers(0, 256, (16, 16, 3))
+    known = masked(replace(lf, views=views), (lf.reference_index, *hole))
+    error = np.abs(estimate_depth(known).disparity - lf.truth.disparity)  # type: ignore[union-attr]
     assert np.isnan(error[hole]).all()
     assert np.sqrt(np.nanmean(error[15:-15, 15:-15] ** 2)) < 0.1

@@ -17,6 +17,7 @@ from lfgpu.methods import configured
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
+from tests.made import masked
 
 RANGE = (-1.5, 1.5)
 CONFIG = SynthesisConfig().with_values({"prior.window": 5, "refinement.max_iterations": 8})
@@ -29,9 +30,7 @@ def scene(seed: int = 0, *, damaged: bool = False) -> LightField:
     if not damaged:
         return lf
     some = lf.subset([index for index in range(len(lf.views)) if index not in (0, 9)])
-    valid = np.ones(some.views.shape[:3], bool)
-    valid[2, 10:20, 5:20] = valid[some.reference_index, :3, :4] = False
-    return LightField(some.views, some.positions, reference=some.reference, valid=valid, name=lf.name)
+    return masked(some, np.s_[2, 10:20, 5:20], np.s_[some.reference_index, :3, :4])
 
 
 def made(lf: LightField, target: Any, config: Config = CONFIG) -> DepthPipeline:
@@ -101,9 +100,8 @@ def test_solvers_on_the_host_run_again_too(target: Any, solver: str) -> None:
         assert_same(ran(pipeline), first, target)
 
 
-@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
-def test_run_estimate_and_estimate_depth_are_one_method(target: Any, damaged: bool) -> None:
-    lf = scene(damaged=damaged)
+def test_run_estimate_and_estimate_depth_are_one_method(target: Any) -> None:
+    lf = scene(damaged=True)
     pipeline = made(lf, target)
     estimated = pipeline.estimate()
     again = pipeline.result()
@@ -136,14 +134,6 @@ def test_result_is_that_of_the_last_run(target: Any) -> None:
     fresh = made(scene(1), target).estimate()
     assert_same(result.confidence, fresh.confidence, target)
     assert result.trace[0] == pytest.approx(fresh.trace[0], rel=1e-6 if target.device == "cpu" else 1e-3)
-
-
-def test_map_is_a_copy_that_later_runs_leave_alone(target: Any) -> None:
-    pipeline = made(scene(), target)
-    first = ran(pipeline)
-    kept = first.copy()
-    ran(pipeline, scene(1).views)
-    np.testing.assert_array_equal(first, kept)
 
 
 @pytest.mark.parametrize("dtype", ["uint16", "float32"])
@@ -230,11 +220,7 @@ def test_views_that_are_not_used_stay_on_the_host(target: Any, damaged: bool) ->
     config = configured("fast")
     first, second = (scenes.make("relief", grid=(5, 5), size=(32, 36), seed=seed) for seed in (0, 1))
     if damaged:
-        valid = np.ones(first.views.shape[:3], bool)
-        valid[:, 5:9, 4:12] = False
-        first, second = (
-            LightField(lf.views, lf.positions, reference=lf.reference, valid=valid) for lf in (first, second)
-        )
+        first, second = (masked(lf, np.s_[:, 5:9, 4:12]) for lf in (first, second))
     used = [2, 7, 10, 11, 12, 13, 14, 17, 22]
     pipeline, others = made(first, target, config), second.views.copy()
     assert len(target.kernels.numpy(pipeline._front.frame)) == len(used)

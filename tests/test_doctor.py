@@ -27,11 +27,12 @@ EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["option
 REFERENCE = BackendInfo("reference", "numpy", "2.0", ("cpu",))
 """The only backend in most of these tests: it starts at once."""
 MAPS: dict[str, Any] = {}
+PARTS = checkup.TRIALS
 
 
 @pytest.fixture(autouse=True)
 def estimated_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The map of the self-test is one for all tests, which change what is done with it."""
+    """The map of the self-test is one for all tests, which change what is done with it; parts are tried where said."""
     true = estimate.estimate_depth
 
     def once(*arguments: Any, **options: Any) -> Any:
@@ -41,6 +42,7 @@ def estimated_once(monkeypatch: pytest.MonkeyPatch) -> None:
         return MAPS[key]
 
     monkeypatch.setattr(estimate, "estimate_depth", once)
+    monkeypatch.setattr(checkup, "TRIALS", {})
 
 
 @pytest.fixture
@@ -63,11 +65,19 @@ def test_a_sound_installation() -> None:
     assert re.search(r"reference on cpu +passed in \d+\.\d s, 0\.0\d+ px from the ground truth", outcome.stdout)
 
 
+@pytest.mark.thorough
+def test_all_that_is_here_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With Taichi, whose start alone takes seconds."""
+    monkeypatch.setattr(checkup, "TRIALS", PARTS)
+    assert checkup.examine().problems == ()
+
+
 @pytest.mark.usefixtures("only_reference")
-def test_every_part_is_tried() -> None:
+def test_every_part_is_tried(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkup, "TRIALS", PARTS)
     found = checkup.examine()
     assert [label for label, _ in found.facts["Devices"]] == ["reference"]
-    here = (extra for extra in checkup.TRIALS if extra != "train" or find_spec("torch"))  # which `all` leaves out
+    here = (extra for extra in PARTS if extra != "train" or find_spec("torch"))  # which `all` leaves out
     tried = [f"extra {extra}" for extra in here]
     assert [trial.what for trial in found.trials] == ["files", *tried, "reference on cpu"]
     assert found.problems == ()
@@ -152,6 +162,7 @@ def test_a_library_that_does_not_fit_is_a_problem(
     def old(*_: Any, **__: Any) -> None:
         raise TypeError("an unexpected argument")
 
+    monkeypatch.setattr(checkup, "TRIALS", {extra: PARTS[extra]})
     monkeypatch.setattr(f"{module}.{name}", old)
     (problem,) = checkup.examine().problems
     assert re.fullmatch(
@@ -163,6 +174,7 @@ def test_a_library_that_does_not_fit_is_a_problem(
 
 @pytest.mark.usefixtures("only_reference")
 def test_a_library_that_reads_something_else_is_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(checkup, "TRIALS", {part: PARTS[part] for part in ("png", "tiff")})
     monkeypatch.setattr("lfgpu.cli.checkup.read_image", lambda path: (np.zeros((64, 80, 3)), frozenset()))
     png, tiff = checkup.examine().problems
     assert png.startswith("The part png does not work with imagecodecs")
@@ -170,7 +182,7 @@ def test_a_library_that_reads_something_else_is_a_problem(monkeypatch: pytest.Mo
 
 
 def test_parts_that_are_not_there_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert checkup.TRIALS.keys() | {"taichi"} == checkup.PARTS.keys()
+    assert PARTS.keys() | {"taichi"} == checkup.PARTS.keys()
     assert set(checkup.PARTS) == EXTRAS.keys() - {"all", "test", "lint", "docs"}
     monkeypatch.setattr(checkup, "describe_backends", lambda: (REFERENCE,))
     monkeypatch.setattr(checkup, "version_of", lambda name: None if name in ("torch", "viser") else "1.0")

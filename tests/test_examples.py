@@ -14,6 +14,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import Rectified, read_rectifier, write_rectified
 from lfgpu.data.lightfield import LightField
+from tests.made import masked
 
 FOLDER = Path(__file__).parents[1] / "examples"
 
@@ -60,10 +61,8 @@ def test_first_depth_map(tmp_path: Path) -> None:
 
 
 def test_first_depth_map_of_views_with_masks(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48))
-    valid = np.ones(lf.views.shape[:3], bool)
-    valid[:, :5, :5] = False
-    np.savez(tmp_path / "masked.npz", views=lf.views, positions=lf.positions, valid=valid)
+    lf = masked(scenes.make("boxes", grid=(3, 3), size=(40, 48)), np.s_[:, :5, :5])
+    np.savez(tmp_path / "masked.npz", views=lf.views, positions=lf.positions, valid=lf.valid)
     result = example("first_depth_map").main(str(tmp_path / "masked.npz"), out=str(tmp_path / "map.png"))
     assert np.isnan(result.disparity).any()
     assert "nan" not in capsys.readouterr().out
@@ -196,10 +195,7 @@ def test_gstreamer_appsink(monkeypatch: pytest.MonkeyPatch) -> None:
                 assert sink.called["new-sample"]() == "ok"
         sinks["camera0"].called["eos"]()
 
-    pipeline = SimpleNamespace(
-        get_by_name=lambda name: sinks.setdefault(name, Sink()),
-        set_state=play,
-    )
+    pipeline = SimpleNamespace(get_by_name=lambda name: sinks.setdefault(name, Sink()), set_state=play)
     texts: list[str] = []
     gst = SimpleNamespace(
         parse_launch=lambda text: texts.append(text) or pipeline,

@@ -2,7 +2,9 @@
 
 import sys
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from lfgpu.data.layout import PATTERNS
 from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_mean, window_min
 from lfgpu.io import read, read_map
 from lfgpu.pipelines.estimate import estimate_depth
+from tests.made import masked
 
 GEOMETRY = Geometry(focal_length_px=1000.0, baseline_m=0.01, focus_distance_m=2.0)
 
@@ -37,26 +40,13 @@ def test_values_by_hand() -> None:
     assert GEOMETRY.depth(5) == 1.0
 
 
-@pytest.mark.parametrize("name", ["focal_length_px", "baseline_m", "focus_distance_m", "pixel_aspect"])
-@pytest.mark.parametrize("value", [0.0, -1.0, float("nan")])
-def test_lengths_must_be_positive(name: str, value: float) -> None:
-    lengths = {"focal_length_px": 1.0, "baseline_m": 1.0, "focus_distance_m": 1.0, name: value}
-    with pytest.raises(LightFieldError, match=name):
-        Geometry(**lengths)
-
-
-@pytest.mark.parametrize("name", ["focal_length_px", "baseline_m"])
-def test_only_the_focus_distance_may_be_infinite(name: str) -> None:
-    lengths = {"focal_length_px": 1.0, "baseline_m": 1.0, name: float("inf")}
-    with pytest.raises(LightFieldError, match=name):
-        Geometry(**lengths)
-
-
-@pytest.mark.parametrize("name", ["principal_point", "unshifted_at"])
-@pytest.mark.parametrize("place", [(1.0,), (1.0, float("nan"))])
-def test_places_must_be_pairs(name: str, place: tuple[float, ...]) -> None:
-    with pytest.raises(LightFieldError, match=name):
-        Geometry(1.0, 1.0, **{name: place})
+def test_lengths_must_be_positive_and_places_pairs() -> None:
+    """Only the focus distance may be infinite."""
+    lengths = ("focal_length_px", "baseline_m", "focus_distance_m", "pixel_aspect")
+    wrong: list[tuple[str, Any]] = [*product(lengths, (0.0, -1.0, np.nan)), *product(lengths[:2], (np.inf,))]
+    for name, value in (*wrong, *product(("principal_point", "unshifted_at"), ((1.0,), (1.0, np.nan)))):
+        with pytest.raises(LightFieldError, match=name):
+            Geometry(**({"focal_length_px": 1.0, "baseline_m": 1.0} | {name: value}))
 
 
 @pytest.mark.data("cotton")
@@ -206,16 +196,11 @@ def test_a_grid_has_rows_and_columns(of_boxes: lfgpu.LightField) -> None:
     assert np.shares_memory(found.views.values, of_boxes.views)
 
 
-def test_views_that_fill_no_grid_are_a_list(of_boxes: lfgpu.LightField) -> None:
+def test_views_that_fill_no_grid_are_a_list_and_masks_come_too(of_boxes: lfgpu.LightField) -> None:
     found = lfgpu.to_xarray(of_boxes.subset("cross"))
     assert found.views.dims == ("view", "y", "x", "channel")
     np.testing.assert_array_equal(np.stack([found.u, found.v], 1), of_boxes.subset("cross").positions)
-
-
-def test_masks_come_too(of_boxes: lfgpu.LightField) -> None:
-    valid = np.ones(of_boxes.views.shape[:3], bool)
-    valid[0, 0, 0] = False
-    found = lfgpu.to_xarray(lfgpu.LightField(of_boxes.views, of_boxes.positions, valid=valid))
+    found = lfgpu.to_xarray(masked(of_boxes, (0, 0, 0)))
     assert int((~found.valid).sum()) == 1
 
 

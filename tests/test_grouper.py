@@ -100,16 +100,14 @@ def test_recorders_in_threads_and_nothing_is_mixed_up() -> None:
     assert stats["groups"] * 4 == 4 * frames - stats["late"] + stats["lost"]
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [({"tolerance": 0.0}, "tolerance"), ({"patience": 0.001}, "patience"), ({"waiting": 0}, "room for a group")],
-)
-def test_wrong_numbers_are_refused(options: dict[str, float], words: str) -> None:
-    with pytest.raises(LightFieldError, match=words):
-        grouper(**options)
-
-
-def test_wrong_pictures_are_refused() -> None:
+def test_wrong_numbers_and_pictures_are_refused() -> None:
+    for name, value, words in (
+        ("tolerance", 0.0, "tolerance"),
+        ("patience", 0.001, "patience"),
+        ("waiting", 0, "room for a group"),
+    ):
+        with pytest.raises(LightFieldError, match=words):
+            grouper(**{name: value})
     g = grouper()
     with pytest.raises(LightFieldError, match="camera must be from 0 to 2"):
         g.add(3, picture(0), 0.0)

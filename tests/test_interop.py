@@ -16,6 +16,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.pipeline import DepthPipeline
+from tests.made import Tensor
 
 RANGE = (-1.5, 1.5)
 CONFIG = SynthesisConfig().with_values({"prior.window": 5, "refinement.max_iterations": 8})
@@ -36,20 +37,6 @@ def made(lf: LightField, target: Any) -> DepthPipeline:
 def values_of(dtype: str, rng: np.random.Generator) -> np.ndarray:
     values = rng.random(SHAPE)
     return (values if dtype == "float32" else values * np.iinfo(dtype).max).astype(dtype)
-
-
-class Tensor:
-    """An array in the CPU's memory of a library that is not NumPy: what DLPack asks for, and a type with a prefix."""
-
-    def __init__(self, values: np.ndarray) -> None:
-        self._values = values
-        self.shape, self.dtype = values.shape, f"torch.{values.dtype}"
-
-    def __dlpack__(self, **options: Any) -> Any:
-        return self._values.__dlpack__(**options)
-
-    def __dlpack_device__(self) -> Any:
-        return self._values.__dlpack_device__()
 
 
 class Elsewhere(Tensor):
@@ -83,20 +70,15 @@ def assert_same(found: np.ndarray, wanted: np.ndarray, device: str) -> None:
     assert (apart.max() == 0) if device == "cpu" else (np.median(apart) <= SAME)
 
 
-@pytest.mark.parametrize("kind", [Tensor, Interface])
+def of_torch(values: np.ndarray) -> Any:
+    return pytest.importorskip("torch", reason="PyTorch is not installed").from_numpy(values)
+
+
+@pytest.mark.parametrize("kind", [Tensor, Interface, of_torch])
 def test_arrays_of_other_libraries_go_in(target: Any, kind: Any) -> None:
     """Whatever their strides."""
     pipeline, want = made(scene(), target), made(scene(1), target)
     pipeline.upload(kind(np.asfortranarray(scene(1).views)))
-    for one in (pipeline, want):
-        one.run()
-    assert_same(pipeline.disparity(), want.disparity(), target.device)
-
-
-def test_tensors_of_torch_go_in(target: Any) -> None:
-    torch = pytest.importorskip("torch", reason="PyTorch is not installed")
-    pipeline, want = made(scene(), target), made(scene(1), target)
-    pipeline.upload(torch.from_numpy(scene(1).views.transpose(0, 3, 1, 2).copy()).permute(0, 2, 3, 1))
     for one in (pipeline, want):
         one.run()
     assert_same(pipeline.disparity(), want.disparity(), target.device)

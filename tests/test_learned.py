@@ -11,17 +11,7 @@ import pytest
 from command_line import lfgpu, refused
 
 from benchmarks.network import random_weights
-from lfgpu import (
-    DepthPipeline,
-    DepthResult,
-    DepthStream,
-    LightField,
-    _backends,
-    estimate_depth,
-    evaluate,
-    load,
-    scenes,
-)
+from lfgpu import DepthPipeline, DepthResult, DepthStream, LightField, _backends, estimate_depth, evaluate, load, scenes
 from lfgpu.contract import FOLD, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
@@ -35,6 +25,7 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.learned import BUILT_IN, VERSION, Network, read_weights
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.pipelines.export import export_pipeline
+from tests.made import masked
 
 WIDTHS = 8, 16, 8, 24
 SIZE, COUNT, STEP = (45, 37), 12, 0.25
@@ -324,12 +315,9 @@ def test_rows_grey_views_and_masks(scene: LightField, found: DepthResult) -> Non
     grey = replace(scene, views=scene.views.mean(-1, keepdims=True).astype(np.uint8))
     without = estimate_depth(grey, config="learned", disparity_range=RANGE)
     assert np.mean(np.abs(without.disparity - found.disparity) < 0.07) > 0.9
-    valid = np.ones((25, 64, 96), bool)
-    valid[:, 60:] = False
-    masked = replace(scene, valid=valid)
-    assert np.array_equal(
-        np.isnan(estimate_depth(masked, config="learned", disparity_range=RANGE).disparity), ~valid[12]
-    )
+    lf = masked(scene, np.s_[:, 60:])
+    holes = np.isnan(estimate_depth(lf, config="learned", disparity_range=RANGE).disparity)
+    assert np.array_equal(holes, ~lf.valid[12])
 
 
 def test_streams_pipelines_and_estimates_give_one_map(scene: LightField, found: DepthResult) -> None:

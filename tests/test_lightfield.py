@@ -252,33 +252,23 @@ def test_requests_that_cannot_be_met(light_field: LightField, words: str, ask: C
     assert words in str(error.value)
 
 
-@pytest.mark.parametrize("which", [None, [0.9, 2.7], ["a"], np.ones(5, bool), [[0, 1], [2, 3]]])
-def test_what_chooses_no_views(which: Any) -> None:
-    with pytest.raises(LightFieldError, match=r"indices, or a mask bool \[9\]"):
-        make("planes", grid=(3, 3), size=(8, 8)).subset(which)
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        ({"name": 5}, "name must be a str, not int"),
-        ({"grid_shape": "33"}, "grid_shape must be .rows, columns., whole numbers from 1 on, not '33'"),
-        ({"grid_shape": (3.0, 3.5)}, "grid_shape must be"),
-        ({"truth": np.zeros((8, 8), np.float32)}, "truth must be a GroundTruth, not ndarray"),
-        ({"geometry": "x"}, "geometry must be a Geometry, not str"),
-        ({"notes": 5}, "notes must be a sequence of texts, not 5"),
-        ({"notes": "one"}, "notes must be a sequence of texts, not 'one'"),
-        ({"files": 5}, "files must be a sequence of texts, not 5"),
-    ],
-)
-def test_fields_of_another_type(fields: dict[str, Any], message: str) -> None:
+def test_fields_and_arguments_of_another_type() -> None:
     lf = make("planes", grid=(3, 3), size=(8, 8))
-    with pytest.raises(LightFieldError, match=message):
-        LightField(lf.views, lf.positions, **fields)
-
-
-def test_arguments_of_another_type() -> None:
-    lf = make("planes", grid=(3, 3), size=(8, 8))
+    fields: list[tuple[str, Any, str]] = [
+        ("name", 5, "name must be a str, not int"),
+        ("grid_shape", "33", "grid_shape must be .rows, columns., whole numbers from 1 on, not '33'"),
+        ("truth", np.zeros((8, 8), np.float32), "truth must be a GroundTruth, not ndarray"),
+        ("geometry", "x", "geometry must be a Geometry, not str"),
+        ("notes", 5, "notes must be a sequence of texts, not 5"),
+        ("files", 5, "files must be a sequence of texts, not 5"),
+    ]
+    for name, value, message in fields:
+        with pytest.raises(LightFieldError, match=message):
+            LightField(lf.views, lf.positions, **{name: value})
+    choices: list[Any] = [None, [0.9, 2.7], ["a"], np.ones(5, bool), [[0, 1], [2, 3]]]
+    for which in choices:
+        with pytest.raises(LightFieldError, match=r"indices, or a mask bool \[9\]"):
+            lf.subset(which)
     wrong: list[tuple[str, Any]] = [
         ("crop needs slices", lambda: lf.crop(3, 4)),  # type: ignore[arg-type]
         ("factor must be a whole number from 1 to 8, not 1.5", lambda: lf.downsampled(1.5)),  # type: ignore[arg-type]

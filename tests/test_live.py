@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import Outcome, said
+from command_line import lfgpu as run_command
 
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci
-from lfgpu.pipelines.sources import Options, feed, open_source, recorded
+from lfgpu.pipelines.sources import open_source, recorded
 from lfgpu.viewer.contents import opened_all
 
 SCENE: dict[str, Any] = {"size": (32, 36), "disparity_range": (-1, 1)}
@@ -25,8 +25,12 @@ OPTIONS: dict[str, Any] = {"grid": (3, 3), **SCENE}
 RANGE = "--disparity-range=-1,1"
 
 
-def lfgpu_live(*arguments: Any) -> Any:
-    return CliRunner().invoke(app, ["live", *map(str, arguments), "--device=cpu"])
+def lfgpu_live(*arguments: object) -> Outcome:
+    return run_command("live", *arguments, "--device=cpu")
+
+
+def live(*arguments: object) -> str:
+    return said("live", *arguments, "--device=cpu")
 
 
 def sequence_of(frames: int) -> list[LightField]:
@@ -89,9 +93,8 @@ def test_folder_in_the_order_of_its_numbers(sequence: Path) -> None:
 
 def test_recording_of_a_folder(sequence: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    outcome = lfgpu_live(sequence, "-o", out, "--preset=fast", RANGE, "--cold", "--frames=3")
-    assert outcome.exit_code == 0, outcome.output
-    assert "3 of 3, 0 dropped, 0 failed, 3 cold" in outcome.stdout
+    text = live(sequence, "-o", out, "--preset=fast", RANGE, "--cold", "--frames=3")
+    assert "3 of 3, 0 dropped, 0 failed, 3 cold" in text
     about = json.loads((out / "live.json").read_text())
     assert [frame["frame"] for frame in about["frames"]] == [0, 1, 2]
     assert about["stats"]["frames_done"] == 3
@@ -110,8 +113,7 @@ def gaps(tmp_path_factory: pytest.TempPathFactory) -> Path:
     kept = iter((True, False, True, False, False, True))
     for _ in recorded(iter(frames), frames[0], folder / "film", wanted=lambda: next(kept)):
         pass
-    outcome = lfgpu_live(folder / "film", "-o", folder / "maps", "--preset=fast", RANGE, "--cold")
-    assert outcome.exit_code == 0, outcome.output
+    live(folder / "film", "-o", folder / "maps", "--preset=fast", RANGE, "--cold")
     return folder
 
 
@@ -139,16 +141,15 @@ def test_maps_of_another_film_are_refused(gaps: Path, tmp_path: Path) -> None:
 
 def test_frames_of_two_recordings_do_not_mix(gaps: Path) -> None:
     outcome = lfgpu_live("planes", "--record", gaps / "film", "--frames=1")
-    assert outcome.exit_code == 1
-    assert "holds frames already" in outcome.stderr
+    assert outcome.code == 1
+    assert "holds frames already" in outcome.err
 
 
 def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path: Path) -> None:
     arguments = ("-o", tmp_path / "out", "--preset=fast", RANGE, "--policy=block")
-    outcome = lfgpu_live("grabber_for_tests:frames", *arguments)
-    assert outcome.exit_code == 0, outcome.output
-    assert "3 of 4, 0 dropped, 1 failed" in outcome.stdout
-    assert "Frame 2: views must be uint8 [9, 32, 36, 3]" in outcome.stdout
+    text = live("grabber_for_tests:frames", *arguments)
+    assert "3 of 4, 0 dropped, 1 failed" in text
+    assert "Frame 2: views must be uint8 [9, 32, 36, 3]" in text
     frames = json.loads((tmp_path / "out" / "live.json").read_text())["frames"]
     assert [frame.get("views") for frame in frames] == [9, 9, None, 8]
     assert not (tmp_path / "out" / "disparity_000002.pfm").exists()
@@ -157,7 +158,7 @@ def test_grabber_with_a_bad_frame_and_a_missing_camera(grabbers: None, tmp_path:
 def test_what_came_before_a_source_failed_is_kept(grabbers: None, tmp_path: Path) -> None:
     """Maps without the log cannot be shown with their frames."""
     outcome = lfgpu_live("grabber_for_tests:unplugged", "-o", tmp_path / "out", "--preset=fast", RANGE)
-    assert outcome.exit_code == 1
+    assert outcome.code == 1
     frames = json.loads((tmp_path / "out" / "live.json").read_text())["frames"]
     assert [frame["frame"] for frame in frames] == [0, 1]
     for frame in frames:
@@ -167,8 +168,7 @@ def test_what_came_before_a_source_failed_is_kept(grabbers: None, tmp_path: Path
 def test_a_service_that_is_stopped_leaves_its_log(grabbers: None, tmp_path: Path) -> None:
     before = signal.getsignal(signal.SIGTERM)
     arguments = ("-o", tmp_path / "out", "--preset=fast", RANGE, "--policy=block", "--frames=1000")
-    outcome = lfgpu_live("grabber_for_tests:terminated", *arguments)
-    assert outcome.exit_code == 0, outcome.output
+    live("grabber_for_tests:terminated", *arguments)
     assert len(json.loads((tmp_path / "out" / "live.json").read_text())["frames"]) < 1000
     assert signal.getsignal(signal.SIGTERM) == before
 
@@ -179,25 +179,9 @@ def test_maps_are_kept_when_recording_fails(tmp_path: Path, monkeypatch: pytest.
 
     monkeypatch.setattr("lfgpu.pipelines.sources.recording.np.savez", full)
     outcome = lfgpu_live("planes", "--grid=3x3", "--size=32x36", "--preset=fast", RANGE, "--record", tmp_path / "film")
-    assert outcome.exit_code == 1
-    assert outcome.stderr.splitlines()[-1].endswith("cannot be written: No space left on device.")
+    assert outcome.code == 1
+    assert outcome.err.splitlines()[-1].endswith("cannot be written: No space left on device.")
     assert not (tmp_path / "film" / "frame_000000").exists()
-
-
-def test_scene_goes_round() -> None:
-    frames = open_source("moving", Options(grid=(3, 3), scene=SCENE)).frames
-    views = [lf.views for lf, _ in zip(frames, range(26), strict=False)]
-    np.testing.assert_array_equal(views[0], views[24])
-    assert not np.array_equal(views[0], views[12])
-
-
-def test_feed_tells_of_all_frames_in_order() -> None:
-    opened = open_source("planes", Options(grid=(3, 3), scene=SCENE))
-    lf, frames = opened.first, opened.frames
-    seen: list[int] = []
-    with lfgpu.DepthStream(lf, config="fast", disparity_range=(-1, 1), device="cpu") as stream:
-        feed(stream, frames, max_fps=1000.0, most=7, on_done=lambda result: seen.append(result.index))
-    assert seen == list(range(7))
 
 
 @pytest.mark.parametrize(
@@ -214,17 +198,14 @@ def test_feed_tells_of_all_frames_in_order() -> None:
         (["grabber_for_tests:missing"], "cannot be imported"),
         (["no_such_module:frames"], "cannot be imported"),
         (["planes", "--policy=queue:x"], "--policy must be latest, block or queue:N"),
-        (
-            ["planes", "--preset=paper", "--size=32x32", "--grid=3x3"],
-            "synthesis cannot",
-        ),
+        (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "synthesis cannot"),
     ],
 )
 def test_mistakes_are_one_sentence(grabbers: None, arguments: list[str], sentence: str) -> None:
     outcome = lfgpu_live(*arguments)
-    assert outcome.exit_code == 1
-    assert sentence in outcome.stderr
-    assert len(outcome.stderr.splitlines()) == 1
+    assert outcome.code == 1
+    assert sentence in outcome.err
+    assert len(outcome.err.splitlines()) == 1
 
 
 # --- the kernels of the temporal prior, on every device of Warp ---

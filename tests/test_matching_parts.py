@@ -11,13 +11,12 @@ import pytest
 
 from benchmarks.ablation import VARIANTS
 from lfgpu import LightField, estimate_depth, scenes
-from lfgpu._backends import load, open_device
+from lfgpu._backends import load
 from lfgpu.config import as_dict, restored
 from lfgpu.contract import Device, Disparities
 from lfgpu.methods import METHODS, PRESETS, preset
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching import tuning
-from lfgpu.methods.matching.completion import Boundaries
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.guesses import GuessedSurfaces
 from lfgpu.methods.matching.plan import MatchingPlan
@@ -37,38 +36,6 @@ def test_what_the_alignment_moved_too_far_is_put_back() -> None:
     matching._alignment.put_back(kernels.field(np.full((48, 48), 0.1), "cpu"), map_)
     want = np.where(np.abs(moved) < 0.4, 0.1 + moved, 0.1)
     np.testing.assert_allclose(kernels.numpy(map_), want, atol=1e-6)
-
-
-def test_a_pixel_that_the_alignment_may_not_move_stays_near_where_it_was_matched() -> None:
-    """With a reach of next to nothing, all that is left of the alignment is the plane through similar pixels."""
-    lf = scenes.make("boxes", grid=(5, 5), size=(96, 96))
-    far, near = (
-        estimate_depth(
-            lf,
-            disparity_range=(-1.6, 1.6),
-            config=MatchingConfig().with_tuning({"alignment.reach": reach}),
-            device="cpu",
-            check_cameras=False,
-        ).stages
-        for reach in (1000.0, 0.1)
-    )
-    np.testing.assert_array_equal(far["resweep"], near["resweep"])
-    moved = [np.abs(stages["align"] - stages["resweep"]).mean() for stages in (far, near)]
-    assert moved[1] < 0.8 * moved[0]
-
-
-@pytest.mark.parametrize(("share", "goes"), [(0.2, True), (0.4, False)])
-def test_the_second_pixel_of_a_blurred_outline_goes_only_if_that_is_clear(share: float, goes: bool) -> None:
-    """A black wall behind a white one that was matched two pixels too wide: column 3 shows nothing of it."""
-    light = np.zeros((9, 10, 1), np.float32)
-    light[:, 5:], light[:, 4] = 1.0, share
-    matched = np.where(np.arange(10) >= 3, 1.0, -1.0) * np.ones((9, 1))
-    device = open_device("warp", "cpu")
-    out = device.zeros((9, 10))
-    boundaries = Boundaries(Arena(device), tuning.ACCURATE.boundaries, (9, 10), step=0.5, contrast=lambda: 0.005)
-    boundaries.run(device.image(np.sqrt(light)), device.field(matched), out)
-    want = np.where(np.arange(10) >= (5 if goes else 4), 1.0, -1.0) * np.ones((9, 1))
-    np.testing.assert_allclose(device.kernels.numpy(out), want, atol=1e-6)
 
 
 def test_a_turned_surface_has_no_depth_edges() -> None:
@@ -179,17 +146,8 @@ def test_every_difference_may_be_a_depth_edge() -> None:
     assert np.isfinite(result.disparity).all()
 
 
-@pytest.mark.parametrize(
-    ("config", "name"),
-    [
-        ("fast", "boxes"),
-        ("fast", "planes"),
-        ("fast", "textureless"),
-        ("accurate", "boxes"),
-        ("accurate", "planes"),
-        ("accurate", "textureless"),
-    ],
-)
+@pytest.mark.parametrize("config", ["fast", "accurate"])
+@pytest.mark.parametrize("name", ["boxes", "textureless"])
 def test_a_range_that_is_wider_than_the_scene_changes_next_to_nothing(config: str, name: str) -> None:
     lf = scenes.make(name, grid=(5, 5), size=(96, 96))
     low, high = lf.truth.disparity.min() - 0.1, lf.truth.disparity.max() + 0.1
@@ -211,17 +169,17 @@ def numbers() -> Iterator[tuple[str, Field[Any]]]:
             yield from ((f"{section.name}.{number.name}", number) for number in fields(section.default))
 
 
-@pytest.mark.parametrize(("name", "number"), list(numbers()), ids=lambda value: value if isinstance(value, str) else "")
-def test_every_number_says_why_and_names_a_row_that_there_is(name: str, number: Field[Any]) -> None:
-    meta = number.metadata
-    assert len(meta["reason"].split()) >= 6
-    assert meta["reason"].endswith((".", "counts as guessed."))
-    assert isinstance(meta["unit"], str)
-    if meta["ablation"]:
-        measured = {record["name"] for record in json.loads(ABLATION.read_text())["records"]}
-        (variant,) = (variant for variant in VARIANTS if variant.name == meta["ablation"])
-        assert variant.name in measured
-        assert name in variant.values, "the variant changes this number"
+def test_every_number_says_why_and_names_a_row_that_there_is() -> None:
+    measured = {record["name"] for record in json.loads(ABLATION.read_text())["records"]}
+    for name, number in numbers():
+        meta = number.metadata
+        assert len(meta["reason"].split()) >= 6, name
+        assert meta["reason"].endswith("."), name
+        assert isinstance(meta["unit"], str), name
+        if meta["ablation"]:
+            (variant,) = (variant for variant in VARIANTS if variant.name == meta["ablation"])
+            assert variant.name in measured
+            assert name in variant.values, "the variant changes this number"
 
 
 def test_a_changed_number_is_for_experiments_only() -> None:

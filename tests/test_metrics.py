@@ -5,10 +5,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import lfgpu, refused, said
 from PIL import Image
-from typer.testing import CliRunner
 
-from lfgpu.cli import app
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci, write_pfm
 from lfgpu.io.hci_submission import SCENES, read_region_masks, write_submission
@@ -215,12 +214,6 @@ def test_a_map_in_another_unit_or_with_the_opposite_sign_is_told() -> None:
 MAP = np.linspace(-1, 1, 512 * 512, dtype=np.float32).reshape(512, 512)
 
 
-def lfgpu(*arguments: object) -> str:
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert done.exit_code == 0, done.stderr
-    return done.stdout
-
-
 def test_the_folder_of_a_submission(tmp_path: Path) -> None:
     missing = write_submission(tmp_path / "out", {"cotton": (MAP, 1.25), "dots": (MAP + 1, 3.0)})
     assert set(missing) == set(SCENES) - {"cotton", "dots"}
@@ -251,15 +244,14 @@ def test_what_the_benchmark_does_not_take(
 def test_a_submission_from_what_depth_wrote(tmp_path: Path) -> None:
     (tmp_path / "Cotton").mkdir()
     made_result(MAP, timings={"total": 1.5}).save(tmp_path / "Cotton" / "result.npz")
-    said = " ".join(lfgpu("eval", tmp_path / "Cotton", "--hci-submission", tmp_path / "sent").split())
-    assert "11 are missing: backgammon, dots" in said
+    text = " ".join(said("eval", tmp_path / "Cotton", "--hci-submission", tmp_path / "sent").split())
+    assert "11 are missing: backgammon, dots" in text
     stored = read_map(tmp_path / "sent" / "disp_maps" / "cotton.pfm")
     np.testing.assert_array_equal(stored, MAP)
     assert float((tmp_path / "sent" / "runtimes" / "cotton.txt").read_text()) == 1.5
     write_pfm(tmp_path / "dots.pfm", MAP)
-    refused = CliRunner().invoke(app, ["eval", str(tmp_path / "dots.pfm"), "--hci-submission", str(tmp_path / "x")])
-    assert refused.exit_code == 1
-    assert "does not say how long it took" in refused.stderr
+    outcome = lfgpu("eval", tmp_path / "dots.pfm", "--hci-submission", tmp_path / "x")
+    refused(outcome, "does not say how long it took")
 
 
 def test_measures_of_regions() -> None:
@@ -291,12 +283,12 @@ def test_eval_shows_the_regions_that_a_scene_has(tmp_path: Path) -> None:
     lf = make("boxes", grid=(3, 3), size=(48, 56))
     write_hci(lf, tmp_path / "scene")
     write_pfm(tmp_path / "map.pfm", lf.truth.disparity + np.float32(0.1))
-    assert "discontinuities" not in lfgpu("eval", tmp_path / "map.pfm", tmp_path / "scene")
+    assert "discontinuities" not in said("eval", tmp_path / "map.pfm", tmp_path / "scene")
     mask = Image.fromarray(np.full((48, 56), 255, np.uint8))
     mask.save(tmp_path / "scene" / "mask_discontinuities_lowres.png")
     (tmp_path / "scene" / "evaluation_masks").mkdir()
     mask.save(tmp_path / "scene" / "evaluation_masks" / "mask_planes.png")
     assert set(read_region_masks(tmp_path / "scene")) == {"discontinuities", "planes"}
-    said = lfgpu("eval", tmp_path / "map.pfm", tmp_path / "scene")
-    assert re.search(r"discontinuities \(%\) +100.00", said)
-    assert re.search(r"planes, bumpiness \(x100\) +0.00", said)
+    text = said("eval", tmp_path / "map.pfm", tmp_path / "scene")
+    assert re.search(r"discontinuities \(%\) +100.00", text)
+    assert re.search(r"planes, bumpiness \(x100\) +0.00", text)

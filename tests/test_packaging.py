@@ -15,9 +15,13 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 
+import lfgpu
 from benchmarks import figures, pages, sources
 from benchmarks.results import FOLDER
 from lfgpu import _backends
+from lfgpu.data.result import DepthResult
+from lfgpu.methods import METHODS, PRESETS, method_of
+from lfgpu.pipelines.pipeline import DepthPipeline
 
 ROOT = Path(__file__).parents[1]
 SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text())
@@ -122,16 +126,10 @@ def test_metadata_are_those_of_the_project() -> None:
         assert not blob or (ROOT / path).is_file()
     assert SETTINGS["project"]["scripts"].keys() == {"lfgpu"}
     assert callable(pkgutil.resolve_name(SETTINGS["project"]["scripts"]["lfgpu"]))
-    import lfgpu
-    from lfgpu.methods import METHODS
-
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for text in (SETTINGS["project"]["description"], lfgpu.__doc__ or "", readme):
         for method in METHODS:
             assert method in text, text
-    from lfgpu.data.result import DepthResult
-    from lfgpu.methods import PRESETS, method_of
-
     for preset in PRESETS:
         for stage in method_of(preset).STAGES:
             assert f"`{stage.name}`" in (DepthResult.__doc__ or ""), stage.name
@@ -193,16 +191,10 @@ def test_an_estimate_and_its_picture_load_neither_scipy_nor_matplotlib(tmp_path:
 def test_public_names_are_listed_and_there(tmp_path: Path) -> None:
     done = run_python("import lfgpu; print(all(getattr(lfgpu, name) is not None for name in lfgpu.__all__))", tmp_path)
     assert done.stdout.strip() == "True", done.stderr
-    import lfgpu
-
     assert set(re.findall(r"import (\w+) as \1", Path(lfgpu.__file__).read_text())) == set(lfgpu.__all__)
     assert dir(lfgpu) == sorted(lfgpu.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = lfgpu.nothing
-    import lfgpu
-    from lfgpu.pipelines.pipeline import DepthPipeline
-
-    assert "DepthPipeline" in lfgpu.__all__
     assert lfgpu.DepthPipeline is DepthPipeline
 
 
@@ -292,7 +284,7 @@ def test_figures_are_those_of_result_files_and_each_is_on_a_page() -> None:
     assert not differing, "run: python -m benchmarks figures"
     assert {"README.md", "batch.md"} <= {mark.page.name for mark in found}
     text = "".join(page.read_text(encoding="utf-8") for page in figures.pages())
-    sources = " ".join(mark.source for page in figures.pages() for mark in figures.marks(page))
+    sources = " ".join(mark.source for mark in found)
     assert [path.name for path in FOLDER.glob("*.json") if path.name not in text + sources] == []
     names = ["accuracy-0.2.json", "accuracy-0.10.json", "accuracy-0.1.json"]
     assert pages.newest(names) == "accuracy-0.10.json"

@@ -10,17 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import (
-    flicker,
-    gpu_parity,
-    like,
-    misalignment,
-    moving,
-    rendering,
-    scaling,
-    soak,
-    tiles,
-)
+from benchmarks import flicker, gpu_parity, like, misalignment, moving, rendering, scaling, soak, tiles
 from benchmarks.cases import CASES, Case
 from benchmarks.cli import app
 from benchmarks.clock import spread
@@ -39,6 +29,13 @@ pytestmark = pytest.mark.thorough
 FILM = moving.Film((3, 3), (64, 72), 4, period=40)
 SOAK = 2000
 """Frames: some seconds where there is nothing else to do, as most are dropped."""
+
+
+def measured(out: Path, *arguments: str) -> Any:
+    """What a command of the benchmarks writes into a file."""
+    outcome = CliRunner().invoke(app, [*arguments, "-o", str(out)])
+    assert outcome.exit_code == 0, outcome.output
+    return json.loads(out.read_text())
 
 
 @pytest.fixture(scope="module")
@@ -87,11 +84,8 @@ def test_flicker_command_finds_that_the_past_helps(tmp_path: Path) -> None:
 
 
 def test_live_command(tmp_path: Path) -> None:
-    out = tmp_path / "live.json"
     arguments = ["live", "--cases=3x3x48x48", "--presets=fast", "--frames=2", "--seconds=0.2", "--device=cpu"]
-    outcome = CliRunner().invoke(app, [*arguments, "-o", str(out)])
-    assert outcome.exit_code == 0, outcome.output
-    rows = json.loads(out.read_text())["rows"]
+    rows = measured(tmp_path / "live.json", *arguments)["rows"]
     assert [row["warm"] for row in rows] == [True, False]
     for row in rows:
         assert 0 < row["latency_p50"] <= row["latency_p95"] <= row["latency_p99"]
@@ -155,11 +149,8 @@ def test_soak_notices_memory_that_grows() -> None:
 
 
 def test_what_is_measured_before_an_estimate_is_timed(tmp_path: Path) -> None:
-    out = tmp_path / "range.json"
-    options = ["--cases=3x3x48x48", "--preset=fast", "--seconds=0.05", "--device=cpu", "--out", str(out)]
-    outcome = CliRunner().invoke(app, ["range", *options])
-    assert outcome.exit_code == 0, outcome.output
-    (row,) = json.loads(out.read_text())["rows"]
+    options = ["--cases=3x3x48x48", "--preset=fast", "--seconds=0.05", "--device=cpu"]
+    (row,) = measured(tmp_path / "range.json", "range", *options)["rows"]
     assert (row["backend"], row["device"]) == ("warp", "cpu")
     assert min(row["range_ms"], row["resident_ms"], row["noise_ms"], row["first_ms"]) > 0
     assert 2 <= row["waits"] <= 7
@@ -240,9 +231,7 @@ def test_what_is_left_is_measured_against_the_cameras(planes: LightField) -> Non
 def test_the_command_writes_what_it_found(planes: LightField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(misalignment, "recording", lambda _: lambda moved: planes)
     options = ["--arrays=3x3", "--misalign=shift=1", "--crop=88", "--preset=fast", "--device=cpu"]
-    outcome = CliRunner().invoke(app, ["misalignment", "planes", *options, "-o", str(tmp_path / "found.json")])
-    assert outcome.exit_code == 0, outcome.output
-    (row,) = json.loads((tmp_path / "found.json").read_text())["rows"]
+    (row,) = measured(tmp_path / "found.json", "misalignment", "planes", *options)["rows"]
     assert (row["array"], row["views"], row["disturbance"]) == ("3x3", 9, "shift=1")
     assert row["left_px"] < 0.1 < row["off_px"]
     assert row["refined"]["level_03"] < row["wrong"]["level_03"]
@@ -262,10 +251,7 @@ def test_rows_are_read_back_and_the_level_is_what_shifts_raise(planes: LightFiel
 
 
 def test_the_judge_on_the_command_line(tmp_path: Path) -> None:
-    options = ["--draws=1", "--crop=96", "--device=cpu", "-o", str(tmp_path / "found.json")]
-    outcome = CliRunner().invoke(app, ["judge", "boxes-3", *options])
-    assert outcome.exit_code == 0, outcome.output
-    found = json.loads((tmp_path / "found.json").read_text())
+    found = measured(tmp_path / "found.json", "judge", "boxes-3", "--draws=1", "--crop=96", "--device=cpu")
     assert found["plan"]["scenes"] == ["boxes-3"]
     (draw,) = found["draws"]
     assert (draw["views"], np.hypot(*draw["moved"])) == (81, pytest.approx(0.2))

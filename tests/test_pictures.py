@@ -20,14 +20,7 @@ from lfgpu.io.brightness import without_black_corners
 from lfgpu.viewer.cloud import Cloud, nearest_to_ray, shown_cloud, surface
 from lfgpu.viewer.space import framed
 from lfgpu.viz.colours import LOOKS, UNDEFINED, indices, painted, palette, shades
-from lfgpu.viz.pictures import (
-    beside_scale,
-    draw_map,
-    save_picture,
-    ticks,
-    write_confidence,
-    write_disparity,
-)
+from lfgpu.viz.pictures import beside_scale, draw_map, save_picture, ticks, write_confidence, write_disparity
 from lfgpu.viz.sheets import overview
 
 SHAPE = (30, 40)
@@ -309,8 +302,8 @@ def ratio_beside_them(scene: LightField) -> float:
     return float(errors[1] / errors[0])
 
 
-def test_without_them_the_maps_of_six_scenes_are_right_in_the_mean() -> None:
-    made = (scenes.make("relief", grid=(5, 5), size=(OF_A_VIEW, OF_A_VIEW), seed=seed) for seed in range(6))
+def test_without_them_the_maps_of_four_scenes_are_right_in_the_mean() -> None:
+    made = (scenes.make("relief", grid=(5, 5), size=(OF_A_VIEW, OF_A_VIEW), seed=seed) for seed in range(4))
     assert np.mean([ratio_beside_them(scene) for scene in made]) < 1.1
 
 

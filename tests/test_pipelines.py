@@ -12,6 +12,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.estimate import estimate_depth
+from tests.made import masked
 
 RANGE = (-1.5, 1.5)
 CONVERGED = SynthesisConfig().with_values(
@@ -48,9 +49,7 @@ def light_field(scene: Scene) -> LightField:
     if not scene.damaged:
         return lf
     some = lf.subset([index for index in range(len(lf.views)) if index not in (0, 9)])
-    valid = np.ones(some.views.shape[:3], bool)
-    valid[2, 10:20, 5:25] = valid[some.reference_index, :3, :4] = False
-    return LightField(some.views, some.positions, reference=some.reference, valid=valid, name=lf.name)
+    return masked(some, np.s_[2, 10:20, 5:25], np.s_[some.reference_index, :3, :4])
 
 
 @cache

@@ -1,14 +1,13 @@
 """The preset 'paper-exact' against the printed equations, on every backend; and what 'paper' changes in them."""
 
 import itertools
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 import lfgpu
-from lfgpu import estimate_depth, evaluate, scenes
+from lfgpu import scenes
 from lfgpu.contract import Device
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.synthesis.config import SynthesisConfig
@@ -16,6 +15,7 @@ from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
 from lfgpu.methods.synthesis.plan import SynthesisPlan, in_units_of, noise_in_units, planned_prior, spread
 from tests import printed
+from tests.made import masked
 
 RANGE = (-1.5, 1.6)
 
@@ -30,11 +30,9 @@ def test_the_kernels_compute_the_printed_equations(target: Any) -> None:
 def test_the_spread_counts_no_masked_pixels() -> None:
     lf = printed.small_light_field()
     image = lf.image(lf.reference_index).astype(np.float64)
-    valid = np.ones(lf.views.shape[:3], bool)
-    valid[lf.reference_index, :, 5:] = False
-    found = spread(replace(lf, valid=valid), 3)
+    found = spread(masked(lf, np.s_[lf.reference_index, :, 5:]), 3)
     assert np.square(found) == pytest.approx(printed.variances(image[:, :5], 3))
-    nothing = spread(replace(lf, valid=np.zeros_like(valid)), 3)
+    nothing = spread(masked(lf, np.s_[:]), 3)
     assert nothing == (1e-6, 1e-6)
 
 
@@ -144,11 +142,3 @@ def test_what_is_accepted_lies_between_both_maps(target: Any) -> None:
     assert moved.max() <= longest + 1e-6
     assert (moved == 0).mean() > 0.1
     assert (moved > 1e-4).mean() > 0.1
-
-
-@pytest.mark.parametrize("name", ["boxes", "planes", "relief", "textureless"])
-def test_the_judge_lets_nothing_through_that_makes_the_map_worse(name: str) -> None:
-    lf = scenes.make(name, grid=(5, 5), size=(96, 96))
-    result = estimate_depth(lf, config="paper", disparity_range=(-1.6, 1.7), device="cpu")
-    start, end = (evaluate(result.stages[stage], lf.truth.disparity) for stage in ("propagate", "refine"))
-    assert end.mse_100 < start.mse_100

@@ -78,10 +78,7 @@ def test_every_number_is_a_figure_with_a_source_or_none_that_was_measured() -> N
 def test_a_figure_that_differs_from_its_source_is_found(tmp_path: Path) -> None:
     """The test that holds the figures can fail: one digit of the README changed is one figure that differs."""
     page = tmp_path / "README.md"
-    page.write_text(WHOLE, encoding="utf-8")
-    assert all(mark.found == mark.wanted for mark in figures.marks(page))
     table = re.search(r"<!-- table: compared.*?<!-- /table -->", README, re.DOTALL)
     number = re.search(r"\d\.\d\d", table[0])
-    wrong = table[0].replace(number[0], "9.99", 1)
-    page.write_text(WHOLE.replace(table[0], wrong), encoding="utf-8")
+    page.write_text(table[0].replace(number[0], "9.99", 1), encoding="utf-8")
     assert len([mark for mark in figures.marks(page) if mark.found != mark.wanted]) == 1

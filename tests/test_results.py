@@ -80,15 +80,6 @@ def test_only_results_are_taken_for_results(tmp_path: Path) -> None:
     assert isinstance(load(tmp_path / "other.npz"), DisparityMap)
 
 
-def test_a_failed_write_leaves_what_was_there(tmp_path: Path) -> None:
-    save(a_result(), tmp_path / "r.npz")
-    before = (tmp_path / "r.npz").read_bytes()
-    with pytest.raises(ValueError, match="JSON"):
-        save(a_result(timings={"total": float("nan")}), tmp_path / "r.npz")
-    assert (tmp_path / "r.npz").read_bytes() == before
-    assert [file.name for file in tmp_path.iterdir()] == ["r.npz"]
-
-
 def changed(content: bytes, change: Callable[[dict[str, Any], dict[str, Any]], None]) -> bytes:
     """The file with `change(arrays, about)` applied."""
     with np.load(io.BytesIO(content)) as loaded:

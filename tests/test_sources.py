@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import said
 from typer.testing import CliRunner
 
 import lfgpu
@@ -20,6 +21,7 @@ from lfgpu.io import write_hci
 from lfgpu.io.ring import RingWriter
 from lfgpu.pipelines.sources import SOURCES, Options, feed, open_source, recorded
 
+STREAM: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu", "policy": "block"}
 OPTIONS: dict[str, Any] = {"grid": (2, 3), "size": (32, 36), "disparity_range": (-1, 1)}
 FRAMES = 4
 
@@ -59,16 +61,16 @@ def videos(tmp_path: Path) -> Path:
     return folder
 
 
-def test_one_video_for_each_camera(videos: Path) -> None:
+def test_one_video_for_each_camera_of_which_the_shortest_ends(videos: Path) -> None:
     opened = open_source(str(videos), Options(grid=(2, 3)))
     np.testing.assert_array_equal(opened.first.positions, film()[0].positions)
     np.testing.assert_array_equal(all_views(opened.frames), [lf.views for lf in film()])
     assert not opened.is_live
-
-
-def test_the_shortest_video_ends(videos: Path) -> None:
     write_video(videos / "camera_8.mkv", [lf.views[1] for lf in film()[:2]])
     assert len(list(open_source(str(videos)).frames)) == 2
+    write_video(videos / "camera_9.mkv", [lf.views[1][:20] for lf in film()])
+    with pytest.raises(lfgpu.LightFieldError, match=r"camera_9.mkv has frames of 36 x 20 pixels, but .*camera_7"):
+        open_source(str(videos))
 
 
 def test_cameras_from_a_light_field(videos: Path) -> None:
@@ -80,12 +82,6 @@ def test_cameras_from_a_light_field(videos: Path) -> None:
         open_source(str(videos), Options(like=lfgpu.LightField(like.views[:5], like.positions[:5])))
     with pytest.raises(lfgpu.LightFieldError, match="a grid of 3 x 3 has 9"):
         open_source(str(videos), Options(grid=(3, 3)))
-
-
-def test_videos_of_several_sizes(videos: Path) -> None:
-    write_video(videos / "camera_9.mkv", [lf.views[1][:20] for lf in film()])
-    with pytest.raises(lfgpu.LightFieldError, match=r"camera_9.mkv has frames of 36 x 20 pixels, but .*camera_7"):
-        open_source(str(videos))
 
 
 def test_a_tiled_video(tmp_path: Path) -> None:
@@ -106,7 +102,7 @@ def test_a_tiled_video(tmp_path: Path) -> None:
 
 def test_a_folder_that_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Frames that are there, that come, that come in parts, that are damaged or of other cameras."""
-    folder, said, asked = tmp_path / "in", list[str](), [1]
+    folder, heard, asked = tmp_path / "in", list[str](), [1]
     folder.mkdir()
     write_hci(film()[0], folder / "frame_9")
 
@@ -135,11 +131,11 @@ def test_a_folder_that_grows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
             yield from frames
 
     monkeypatch.setattr("lfgpu.pipelines.sources.folder.time", SimpleNamespace(sleep=between_looks))
-    opened = open_source(f"growing:{folder}", Options(say=said.append))
+    opened = open_source(f"growing:{folder}", Options(say=heard.append))
     assert opened.is_live
     found = all_views(until_interrupted(opened.frames))
     np.testing.assert_array_equal(found, [film()[index].views for index in (0, 1, 3)])
-    assert ["frame_11" in said[0], "frame_12 has other camera positions" in said[1]] == [True, True]
+    assert ["frame_11" in heard[0], "frame_12 has other camera positions" in heard[1]] == [True, True]
 
 
 def test_a_growing_folder_that_is_not_there(tmp_path: Path) -> None:
@@ -172,11 +168,11 @@ def test_recorded_frames_are_played_again(tmp_path: Path) -> None:
 
 
 def test_a_ring(tmp_path: Path) -> None:
-    path, said = tmp_path / "rig", list[str]()
+    path, heard = tmp_path / "rig", list[str]()
     there = np.array([True] * 5 + [False])
     with RingWriter(path, film()[0].positions, film()[0].size, reference=1) as ring:
         ring.write(film()[0].views)
-        opened = open_source(f"ring:{path}", Options(say=said.append))
+        opened = open_source(f"ring:{path}", Options(say=heard.append))
         assert opened.first.reference == 1
         np.testing.assert_array_equal(opened.first.positions, film()[0].positions)
         frames = iter(opened.frames)
@@ -188,7 +184,7 @@ def test_a_ring(tmp_path: Path) -> None:
         ring.write(film()[2].views)
         ring.write(film()[3].views)
     np.testing.assert_array_equal(all_views(frames), [film()[3].views])
-    assert said == [f"1 frames of {path} were passed over, because newer ones came before they were asked for."]
+    assert heard == [f"1 frames of {path} were passed over, because newer ones came before they were asked for."]
 
 
 # --- OpenCV ---
@@ -266,9 +262,9 @@ def test_every_source_is_in_the_help() -> None:
 
 def test_a_scene_that_moves_is_made_before_it_is_played(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfgpu.pipelines.sources.scene._SAID_AGAIN", 1e9)  # on a busy machine it takes some seconds
-    said: list[str] = []
-    frames = open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, say=said.append)).frames
-    assert said == ["Making 24 frames of the scene moving, which then repeat."]
+    heard: list[str] = []
+    frames = open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, say=heard.append)).frames
+    assert heard == ["Making 24 frames of the scene moving, which then repeat."]
     some = [next(frames) for _ in range(49)]
     assert some[1] is some[25]
     want = list(scenes.sequence("moving", frames=24, grid=(2, 2), size=(24, 24)))[5]
@@ -277,10 +273,10 @@ def test_a_scene_that_moves_is_made_before_it_is_played(monkeypatch: pytest.Monk
 
 def test_it_is_said_how_many_frames_of_a_scene_are_made(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfgpu.pipelines.sources.scene._SAID_AGAIN", -1.0)
-    said: list[str] = []
-    open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, most=3, say=said.append))
-    assert said[0] == "Making 3 frames of the scene moving."
-    assert set(said[1:]) == {f"{n} of 3 frames are made." for n in range(1, 4)}
+    heard: list[str] = []
+    open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, most=3, say=heard.append))
+    assert heard[0] == "Making 3 frames of the scene moving."
+    assert set(heard[1:]) == {f"{n} of 3 frames are made." for n in range(1, 4)}
 
 
 def test_frames_are_not_faster_than_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -296,17 +292,16 @@ def test_frames_are_not_faster_than_asked_for(monkeypatch: pytest.MonkeyPatch) -
             now[0] += 0.31 if len(taken) == 2 else 0.0
             yield lf.views
 
-    with lfgpu.DepthStream(film()[0], config="fast", disparity_range=(-1, 1), device="cpu", policy="block") as stream:
+    with lfgpu.DepthStream(film()[0], **STREAM) as stream:
         feed(stream, frames(), max_fps=10.0)
     np.testing.assert_allclose(taken, [0.0, 0.1, 0.41, 0.51], atol=1e-9)
 
 
 def test_the_command_records_frames_and_says_that_the_range_is_too_small(videos: Path, tmp_path: Path) -> None:
-    arguments = ["live", str(videos), "--grid=2x3", "--preset=fast", "--disparity-range=-1,0", "--device=cpu"]
-    outcome = CliRunner().invoke(app, [*arguments, f"--record={tmp_path / 'kept'}"])
-    assert outcome.exit_code == 0, outcome.output
-    assert f"{FRAMES} of {FRAMES}, 0 dropped, 0 failed" in outcome.stdout
-    assert "is too small for the frames" in " ".join(outcome.stdout.split())
+    arguments = ["live", videos, "--grid=2x3", "--preset=fast", "--disparity-range=-1,0", "--device=cpu"]
+    text = " ".join(said(*arguments, f"--record={tmp_path / 'kept'}").split())
+    assert f"{FRAMES} of {FRAMES}, 0 dropped, 0 failed" in text
+    assert "is too small for the frames" in text
     again = open_source(str(tmp_path / "kept"))
     np.testing.assert_array_equal(all_views(again.frames), [lf.views for lf in film()])
 
@@ -349,8 +344,7 @@ def test_the_page_shows_maps_with_their_own_frames(monkeypatch: pytest.MonkeyPat
             buffer[:] = lf.views
             yield buffer
 
-    options: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu"}
-    stream = lfgpu.DepthStream(film()[0], policy="block", prior=None, **options)
+    stream = lfgpu.DepthStream(film()[0], prior=None, **STREAM)
     with live.View(film()[0], records=False) as page, stream:
         feed(stream, frames(), tag=page.kept, on_done=partial(page.show, stream))
     (shown,) = pages
@@ -359,7 +353,7 @@ def test_the_page_shows_maps_with_their_own_frames(monkeypatch: pytest.MonkeyPat
     assert shown.closed
     for (_, views), lf in zip(shown.shown, film(), strict=True):
         np.testing.assert_array_equal(views, lf.views)
-    want = lfgpu.estimate_depth(film()[0], **options).disparity
+    want = lfgpu.estimate_depth(film()[0], config="fast", disparity_range=(-1, 1), device="cpu").disparity
     np.testing.assert_array_equal(shown.shown[0][0], want)
 
 
@@ -380,8 +374,7 @@ def test_what_is_switched_on_the_page(monkeypatch: pytest.MonkeyPatch, tmp_path:
             pages[0].switch("pause", False)
         return page.pauses
 
-    options: dict[str, Any] = {"config": "fast", "disparity_range": (-1, 1), "device": "cpu"}
-    stream = lfgpu.DepthStream(film()[0], policy="block", **options)
+    stream = lfgpu.DepthStream(film()[0], **STREAM)
     with live.View(film()[0], records=True) as page, stream:
         frames = recorded(iter(film()), film()[0], tmp_path, wanted=lambda: page.records)
         feed(stream, frames, hold=hold)

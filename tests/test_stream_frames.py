@@ -14,19 +14,7 @@ from lfgpu import scenes
 from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.watches import RangeWatch
 from lfgpu.threads import get_threads, limited_threads
-
-
-class Foreign:
-    """An array that has nothing but DLPack."""
-
-    def __init__(self, values: np.ndarray) -> None:
-        self._values, self.shape, self.dtype = values, values.shape, values.dtype
-
-    def __dlpack__(self, **options: Any) -> Any:
-        return self._values.__dlpack__(**options)
-
-    def __dlpack_device__(self) -> tuple[int, int]:
-        return self._values.__dlpack_device__()
+from tests.made import Tensor
 
 
 def test_forms_of_a_frame() -> None:
@@ -35,7 +23,7 @@ def test_forms_of_a_frame() -> None:
     assert not strided.flags.c_contiguous
     with made(prior=None) as stream:
         want = stream.push(views).numpy()
-        for form in (strided, views.reshape(3, 5, *views.shape[1:]), Foreign(views)):
+        for form in (strided, views.reshape(3, 5, *views.shape[1:]), Tensor(views)):
             assert np.array_equal(stream.push(form).numpy(), want)
 
 
@@ -92,20 +80,15 @@ def test_what_is_not_finite_fails_unless_it_does_not_count() -> None:
         assert np.isfinite(stream.push(views, valid=there).numpy()).all()
 
 
-def test_float_frames_in_another_unit_are_refused() -> None:
+@pytest.mark.parametrize("looks", [True, False], ids=["host", "device"])
+def test_float_frames_in_another_unit_are_refused(looks: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also frames that lie on a GPU, which the host does not look at: the device sees it as well."""
     lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
+    if not looks:
+        monkeypatch.setattr("lfgpu.pipelines.intake.check_scaled", lambda *_: None)
+    words = r"view \d has values from .* scale float views to \[0, 1\]" if looks else "scale float views"
     with made(lf, disparity_range=(-1, 1)) as stream:
-        with pytest.raises(lfgpu.LightFieldError, match=r"view \d has values from .* scale float views to \[0, 1\]"):
-            stream.push(lf.views * 255).numpy()
-        assert np.isfinite(stream.push(lf.views).numpy()).all()
-
-
-def test_float_frames_in_another_unit_are_seen_on_the_device_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As frames that lie on a GPU are, which the host does not look at."""
-    lf = scenes.make("planes", grid=(3, 3), size=(32, 32), dtype=np.float32, disparity_range=(-1, 1))
-    monkeypatch.setattr("lfgpu.pipelines.intake.check_scaled", lambda *_: None)
-    with made(lf, disparity_range=(-1, 1)) as stream:
-        with pytest.raises(lfgpu.LightFieldError, match=r"scale float views"):
+        with pytest.raises(lfgpu.LightFieldError, match=words):
             stream.push(lf.views * 255).numpy()
         result = stream.push(lf.views)
         assert np.isfinite(result.numpy()).all()
@@ -166,16 +149,6 @@ def test_what_lies_at_an_end_by_chance_is_no_reason() -> None:
         assert watch.search(lf, "these views") == ()  # once
 
 
-def test_a_search_is_wanted_after_a_cut_and_not_without_a_reason() -> None:
-    watch = RangeWatch((-1.0, 1.0))
-    assert not watch.look(np.zeros((8, 8), np.float32), is_new=False)
-    assert not watch._wanted
-    assert not watch.look(np.zeros((8, 8), np.float32), is_new=True)
-    assert watch.wait()
-    watch.close()
-    assert not watch.wait()
-
-
 # --- stamps ---
 
 
@@ -205,27 +178,26 @@ def test_frames_whose_pictures_were_not_taken_together_are_counted_and_said_once
     assert stream.stats()["frames_out_of_step"] == 2
 
 
-@pytest.mark.parametrize(
-    ("stamps", "words"),
-    [
+def test_wrong_stamps_fail_their_frame_only() -> None:
+    wrong: list[tuple[Any, str]] = [
         (np.zeros(14), r"stamps must be \[15\], one for each view; found \[14\]"),
         (["noon"] * 15, "stamps must be numbers of seconds"),
         ([0.0] * 14 + [float("nan")], r"the stamp of view 14 is nan; give seconds, or set valid\[14\] to False"),
-    ],
-)
-def test_wrong_stamps_fail_their_frame_only(stamps: Any, words: str) -> None:
+    ]
     with made(tolerance=0.004) as stream:
-        wrong = stream.push(frames()[0].views, stamps=stamps)
+        results = [stream.push(frames()[0].views, stamps=stamps) for stamps, _ in wrong]
         right = stream.push(frames()[0].views, stamps=np.zeros(15))
         assert right.wait(LONG)
     assert right.error is None
-    assert re.search(words, str(wrong.error))
+    for result, (_, words) in zip(results, wrong, strict=True):
+        assert re.search(words, str(result.error))
 
 
-@pytest.mark.parametrize("tolerance", [0, -1.0, float("nan"), True, "4 ms"])
-def test_a_tolerance_is_a_number_of_seconds(tolerance: Any) -> None:
-    with pytest.raises(lfgpu.LightFieldError, match="tolerance must be a number of seconds > 0"):
-        made(tolerance=tolerance)
+def test_a_tolerance_is_a_number_of_seconds() -> None:
+    wrong: list[Any] = [0, -1.0, float("nan"), True, "4 ms"]
+    for tolerance in wrong:
+        with pytest.raises(lfgpu.LightFieldError, match="tolerance must be a number of seconds > 0"):
+            made(tolerance=tolerance)
 
 
 def test_a_search_for_the_range_keeps_to_its_thread(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -8,13 +8,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import lfgpu, refused, said
 from PIL import Image
-from typer.testing import CliRunner
 
 from benchmarks import tile_differences
 from lfgpu import DepthResult, LightField, LightFieldError, estimate_depth, read, scenes
 from lfgpu._backends import load, open_device
-from lfgpu.cli import app
 from lfgpu.config import Config
 from lfgpu.contract import REDUCTION, Device
 from lfgpu.data.mapping import forget, is_mapped
@@ -27,6 +26,7 @@ from lfgpu.pipelines import tiles
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.verdict import map_notes
+from tests.made import masked
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
@@ -96,6 +96,7 @@ def test_tiles_give_the_map_that_is_found_in_one_piece(
     for name, values in {**whole.stages, "disparity": whole.disparity, "confidence": whole.confidence}.items():
         ours = {**found.stages, "disparity": found.disparity, "confidence": found.confidence}[name]
         assert np.abs(ours - values).max() < TOLERANCE, name
+    np.testing.assert_allclose(found.uncertainty, whole.uncertainty, rtol=0.01)
     assert found.name == scene.name
     assert found.geometry == scene.geometry
     assert found.disparity_range == RANGE
@@ -240,15 +241,14 @@ def test_a_tile_that_shows_nothing_does_not_end_the_others(strip: LightField, qu
 
 
 def test_masks_are_those_of_each_tile(strip: LightField, quick: Config) -> None:
-    valid = np.ones(strip.views.shape[:3], bool)
-    valid[:, 20:40, 30:50] = False
-    masked = replace(strip, valid=valid)
-    whole = estimate_depth(masked, config=quick, disparity_range=RANGE, device="cpu")
-    found = in_tiles(masked, quick, memory_for(masked, quick, 64, tiles._cuts(400, halo(masked, quick)[1])[1][1]))
+    lf = masked(strip, np.s_[:, 20:40, 30:50])
+    hole = ~lf.valid[lf.reference_index]
+    whole = estimate_depth(lf, config=quick, disparity_range=RANGE, device="cpu")
+    found = in_tiles(lf, quick, memory_for(lf, quick, 64, tiles._cuts(400, halo(lf, quick)[1])[1][1]))
     assert found.status.startswith("2 tiles")
-    np.testing.assert_array_equal(np.isnan(found.disparity), ~valid[strip.reference_index])
+    np.testing.assert_array_equal(np.isnan(found.disparity), hole)
     assert np.nanmax(np.abs(found.disparity - whole.disparity)) < TOLERANCE
-    assert (found.confidence[~valid[strip.reference_index]] == 0).all()
+    assert (found.confidence[hole] == 0).all()
 
 
 # --- the plan ---
@@ -289,26 +289,12 @@ def test_estimates_that_agree_are_mixed_and_others_are_not() -> None:
 # --- the memory ---
 
 
-@pytest.mark.parametrize(
-    ("text", "size"),
-    [
-        ("8GiB", 8 * 2**30),
-        ("500 MB", 500 * 10**6),
-        ("1.5g", 15 * 10**8),
-        ("64", 64),
-        (77, 77),
-        (6e8, 6 * 10**8),
-        (np.int64(99), 99),
-    ],
-)
-def test_sizes_are_understood(text: str | int, size: int) -> None:
-    assert parse_memory(text) == size
-
-
-@pytest.mark.parametrize("text", ["", "much", "-1GiB", "0", "8 GiB x", 0, True, float("inf"), float("nan"), -5.0])
-def test_other_sizes_are_refused(text: str | int) -> None:
-    with pytest.raises(LightFieldError, match="max_memory must be a size"):
-        parse_memory(text)
+def test_sizes_are_understood_and_others_refused() -> None:
+    assert [parse_memory(text) for text in ("8GiB", "500 MB", "1.5g", "64")] == [2**33, 5 * 10**8, 15 * 10**8, 64]
+    assert [parse_memory(number) for number in (77, 6e8, np.int64(99))] == [77, 6 * 10**8, 99]
+    for wrong in ("", "much", "-1GiB", "0", "8 GiB x", 0, True, float("inf"), float("nan"), -5.0):
+        with pytest.raises(LightFieldError, match="max_memory must be a size"):
+            parse_memory(wrong)
 
 
 def test_too_little_memory_is_an_error_that_says_how_much_it_takes(scene: LightField) -> None:
@@ -385,19 +371,15 @@ def test_memory_is_as_foreseen(name: str, device: str) -> None:
 
 def test_depth_takes_a_limit(scene: LightField, tmp_path: Path) -> None:
     write_hci(scene.crop(slice(0, 60), slice(0, 64)), tmp_path / "in")
-    base = ["depth", str(tmp_path / "in"), "--preset", "fast", "--disparity-range", "-1,1", "--device", "cpu"]
-    outcome = CliRunner().invoke(app, [*base, "-o", str(tmp_path / "out"), "--max-memory", "2GiB"])
-    assert outcome.exit_code == 0, outcome.output
-    assert "In one piece" in outcome.stdout
+    base = ["depth", tmp_path / "in", "--preset", "fast", "--disparity-range", "-1,1", "--device", "cpu"]
+    assert "In one piece" in said(*base, "-o", tmp_path / "out", "--max-memory", "2GiB")
     plain = estimate_depth(read(tmp_path / "in"), config="fast", disparity_range=(-1, 1), device="cpu")
     assert np.array_equal(read_map(tmp_path / "out" / "disparity.pfm"), plain.disparity)
     for options, words in (
         (["--max-memory", "lots"], "max_memory must be a size"),
         (["--max-memory", "2GiB", "--all-views"], "--max-memory works for the map of one view only"),
     ):
-        outcome = CliRunner().invoke(app, [*base, "-o", str(tmp_path / "not"), *options])
-        assert outcome.exit_code == 1
-        assert words in outcome.stderr
+        refused(lfgpu(*base, "-o", tmp_path / "not", *options), words)
         assert not (tmp_path / "not").exists()
 
 
@@ -408,7 +390,8 @@ def test_views_on_disk_are_those_in_memory(scene: LightField, tmp_path: Path) ->
     small = scene.crop(slice(0, 40), slice(0, 44))
     write_hci(small, tmp_path / "folder")
     np.save(tmp_path / "file.npy", small.views.reshape(3, 3, *small.views.shape[1:]))
-    for name in ("folder", "file.npy"):
+    (tmp_path / "lightfield.toml").write_text('[source]\npath = "folder"\nformat = "hci"\n')
+    for name in ("folder", "file.npy", "lightfield.toml"):
         plain, lazy = read(tmp_path / name), read(tmp_path / name, lazy=True)
         assert is_mapped(lazy.views)
         assert not is_mapped(plain.views)
@@ -457,12 +440,6 @@ def test_what_users_write_into_their_mapped_views_stays(tmp_path: Path) -> None:
     assert lf.downsampled(2).views[4, 0, 0, 0] == 0
     forget(lf.views)
     assert views[1, 1, 0, 0, 0] == 0
-
-
-def test_what_a_description_names_stays_on_disk_too(scene: LightField, tmp_path: Path) -> None:
-    write_hci(scene.crop(slice(0, 40), slice(0, 44)), tmp_path / "views")
-    (tmp_path / "lightfield.toml").write_text('[source]\npath = "views"\nformat = "hci"\n')
-    assert is_mapped(read(tmp_path / "lightfield.toml", lazy=True).views)
 
 
 def test_a_file_that_ends_too_early_is_refused_where_it_is_mapped(tmp_path: Path) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import said as succeeded
 from test_range_confirmation import noise_in_a_row
-from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
@@ -17,7 +17,6 @@ from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE
 from lfgpu.batch.work import Job, Settings, work
 from lfgpu.calibration import Misalignment, disturb
-from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.io import write_hci
@@ -87,10 +86,9 @@ def by_viewer(lf: LightField, given: tuple[float, float], _: Path) -> Said:
 
 def by_command(lf: LightField, given: tuple[float, float], folder: Path, *more: str) -> Said:
     options = ["--preset=fast", f"--disparity-range={given[0]},{given[1]}", "--device=cpu", *more]
-    done = CliRunner().invoke(app, ["depth", str(folder / "lf"), "-o", str(folder / "out"), *options])
-    assert done.exit_code == 0, done.output
+    text = succeeded("depth", folder / "lf", "-o", folder / "out", *options)
     found = said(lfgpu.load(folder / "out" / "result.npz"))
-    printed = " ".join(done.stdout.split())
+    printed = " ".join(text.split())
     places = [printed.find(sentence) for sentence in (*found[0], *found[1])]
     assert min(places, default=0) >= 0
     assert places == sorted(places)

@@ -9,11 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from command_line import Outcome, lfgpu, refused
 from walls import SIZE, wall
 
 from lfgpu import scenes
-from lfgpu.cli import app
 from lfgpu.cli.options import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_pfm
@@ -106,20 +105,18 @@ def test_an_estimate_that_fails_says_why() -> None:
 # --- the command ---
 
 
-def view(*arguments: object) -> tuple[int, str, str]:
-    result = CliRunner().invoke(app, ["view", *map(str, arguments), "--port", "0"])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result.exit_code, result.stdout, result.stderr
+def view(*arguments: object) -> Outcome:
+    return lfgpu("view", *arguments, "--port", "0")
 
 
 def test_the_command_says_where_to_look(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     viser = pytest.importorskip("viser")
     write_pfm(tmp_path / "map.pfm", np.zeros((5, 6)))
     monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda _: None)
-    code, said, err = view(tmp_path / "map.pfm")
-    assert (code, err) == (0, "")
-    assert re.search(r"http://127\.0\.0\.1:\d+/[\w-]{32}/ with a browser", said)
-    assert viser.__name__ not in said
+    outcome = view(tmp_path / "map.pfm")
+    assert (outcome.code, outcome.err) == (0, "")
+    assert re.search(r"http://127\.0\.0\.1:\d+/[\w-]{32}/ with a browser", outcome.out)
+    assert viser.__name__ not in outcome.out
 
 
 def test_the_command_reads_as_depth_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -129,14 +126,12 @@ def test_the_command_reads_as_depth_does(tmp_path: Path, monkeypatch: pytest.Mon
     write_pfm(tmp_path / "map.pfm", np.zeros(SIZE))
     shown: list[Contents] = []
     monkeypatch.setattr("lfgpu.viewer.server.Viewer.wait", lambda viewer: shown.append(viewer.contents))
-    code, _, err = view(tmp_path / "views.npy", tmp_path / "map.pfm", "--grid", "2x3", "--flip", "u")
-    assert (code, err) == (0, "")
+    outcome = view(tmp_path / "views.npy", tmp_path / "map.pfm", "--grid", "2x3", "--flip", "u")
+    assert (outcome.code, outcome.err) == (0, "")
     assert shown[0].lf.grid_shape == (2, 3)
     np.testing.assert_array_equal(shown[0].lf.view(0, 0), lf.view(0, 2))
     assert list(shown[0].entries) == ["map"]
-    code, said, err = view(tmp_path / "map.pfm", "--grid", "2x3")
-    assert (code, said) == (1, "")
-    assert "map.pfm" in err
+    refused(view(tmp_path / "map.pfm", "--grid", "2x3"), "map.pfm")
 
 
 @pytest.mark.parametrize(
@@ -145,10 +140,7 @@ def test_the_command_reads_as_depth_does(tmp_path: Path, monkeypatch: pytest.Mon
 def test_what_cannot_be_shown_is_a_sentence(name: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "empty").mkdir()
     (tmp_path / "bad.pfm").write_bytes(b"PF?")
-    code, _, err = view(tmp_path / name)
-    assert code == 1
-    assert words in err
-    assert err.count("\n") == 1
+    refused(view(tmp_path / name), words)
 
 
 def test_the_command_says_where_to_look_before_all_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -160,7 +152,7 @@ def test_the_command_says_where_to_look_before_all_is_read(tmp_path: Path, monke
     )
     monkeypatch.setattr("lfgpu.cli.view.typer.echo", lambda text: said.set() if "Open http://" in text else None)
     write_pfm(tmp_path / "map.pfm", np.zeros((5, 6)))
-    assert view(tmp_path / "map.pfm")[0] == 0
+    assert view(tmp_path / "map.pfm").code == 0
     assert said.is_set()
 
 

@@ -1,8 +1,5 @@
 """The pictures and tiles that pages of the viewer draw."""
 
-from dataclasses import replace
-from typing import Any
-
 import numpy as np
 import pytest
 from walls import SIZE, wall
@@ -13,6 +10,7 @@ from lfgpu.data.result import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer import pictures
 from lfgpu.viewer.contents import Contents, Entry
+from tests.made import masked
 
 WHOLE = (0, 0, pictures.TILE)  # column, row and side of the tile that is the whole of a small picture
 
@@ -60,20 +58,6 @@ def test_a_pixel_is_found_in_the_reference_view(u: int, v: int) -> None:
     assert pictures.in_reference(contents, "none", "final", offset, 3, 4) == ((3, 4) if (u, v) == (1, 1) else None)
 
 
-def test_small_views_are_made_once_and_not_too_many_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    lf, made = scenes.make("boxes", grid=(5, 5), size=SIZE), list[Any]()
-    make = pictures._small_view
-    monkeypatch.setattr(pictures, "_small_view", lambda *asked: made.append(asked[1:]) or make(*asked))
-    first = pictures.refocused(lf, 0.5, None, 2, *WHOLE)
-    assert len(made) == len(lf.views)
-    pictures.refocused(lf, 0.7, None, 2, *WHOLE)
-    assert len(made) == len(lf.views)
-    monkeypatch.setattr(pictures, "_ROOM", 4 * 12 * 10 * 3)
-    np.testing.assert_array_equal(pictures.refocused(lf, 0.5, None, 2, *WHOLE), first)
-    pictures.refocused(lf, 0.5, None, 1, *WHOLE)
-    assert sum(view.nbytes for view, _ in pictures._small[lf].values()) <= pictures._ROOM
-
-
 @pytest.mark.parametrize("size", [(40, 48), (37, 43)])
 @pytest.mark.parametrize("factor", [2, 4, 8])
 def test_small_views_are_in_line_with_large_ones(size: tuple[int, int], factor: int) -> None:
@@ -87,14 +71,12 @@ def test_small_views_are_in_line_with_large_ones(size: tuple[int, int], factor: 
 
 
 @pytest.mark.parametrize("level", [0, 1, 2])
-@pytest.mark.parametrize("masked", [False, True])
-def test_computed_tiles_fit_together_to_the_whole_picture(level: int, masked: bool) -> None:
+@pytest.mark.parametrize("has_mask", [False, True])
+def test_computed_tiles_fit_together_to_the_whole_picture(level: int, has_mask: bool) -> None:
     """Points that other surfaces hide, colours from beyond a tile, and sides that no tile divides."""
     lf = scenes.make("boxes", grid=(5, 5), size=(101, 131))
-    if masked:
-        valid = np.ones((len(lf.views), *lf.size), np.bool_)
-        valid[3, 30:60, 20:90] = False
-        lf = replace(lf, valid=valid)
+    if has_mask:
+        lf = masked(lf, np.s_[3, 30:60, 20:90])
     truth = lf.reference_truth()
     disparity = truth.disparity.copy()
     disparity[40:44, 50:58] = np.nan

@@ -14,6 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lfgpu import DepthPipeline, LightField, estimate_depth, scenes
+from lfgpu._backends import open_device
 from lfgpu.cli import app
 from lfgpu.io import read_map, write_hci
 from lfgpu.methods import method_of, preset
@@ -110,8 +111,6 @@ def test_directions_come_in_batches(gpu: dict[str, str], volumes: int, monkeypat
     """Whatever fits beside the sums, they are added up in the same order."""
     from lfgpu.kernels.taichi import semi_global
 
-    from lfgpu._backends import open_device
-
     device, rng = open_device(**gpu), np.random.default_rng(3)  # type: ignore[arg-type]
     volume, image = device.field(rng.random((5, 13, 21))), device.image(rng.random((13, 21, 3)).astype(np.float32))
 
@@ -128,8 +127,6 @@ def test_directions_come_in_batches(gpu: dict[str, str], volumes: int, monkeypat
 
 def test_iterations_after_the_last_one_change_nothing(gpu: dict[str, str]) -> None:
     """The host looks at `go_on` after some iterations only."""
-    from lfgpu._backends import open_device
-
     device = open_device(**gpu)  # type: ignore[arg-type]
     ends = {"low": -9.0, "high": 9.0, "first_step": 1.0, "tolerance": 0.0, "patience": 5}
     memory = device.kernels.lbfgs((2, 2), device.name, memory=3, most=1, **ends)
@@ -150,8 +147,6 @@ def test_views_are_uploaded_in_pieces(
     gpu: dict[str, str], chosen: list[int] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from lfgpu.kernels.taichi import memory
-
-    from lfgpu._backends import open_device
 
     device, values = open_device(**gpu), np.random.default_rng(0).integers(0, 255, (7, 5, 6, 3), np.uint8)  # type: ignore[arg-type]
     wanted, sizes = values if chosen is None else values[chosen], []
