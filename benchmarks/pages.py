@@ -179,6 +179,10 @@ def _cell(found: Sequence[Record], preset: str, case: str, *, parts: bool = Fals
 # --- others ---
 
 
+def _reliability(path: Path) -> str:
+    return confidence.by_confidence(_rows(path)).markdown
+
+
 def _runs(*paths: Path) -> str:
     return "\n".join(runs.markdown(run) for run in results.merged(map(results.load, paths)))
 
@@ -204,7 +208,8 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
     "backends": (("h200-vulkan.json",), _backends),
     "compared": ((ACCURACY, "learned.json", PUBLISHED), _compared),
-    "confidence": (("confidence.json",), lambda path: confidence.by_confidence(_rows(path)).markdown),
+    "confidence": (("confidence.json",), _reliability),
+    "confidence-surest": (("confidence-surest.json",), _reliability),
     "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),
     "forms": (("paper.json",), lambda path: paper.forms(results.load(path)).markdown),
     "judge": (("judge.json",), lambda path: judge.table(content(path)["draws"]).markdown),

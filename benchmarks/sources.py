@@ -12,8 +12,9 @@ from typing import Any
 ROOT = Path(__file__).parents[1]
 
 _MAPS = ("kernels/warp", "lfgpu/contract", "lfgpu/methods", "lfgpu/solvers", "lfgpu/metrics.py")
-_STREAMS = (*_MAPS, "lfgpu/pipelines")
-_CAMERAS = ("lfgpu/calibration", "lfgpu/cameras", "kernels/warp")
+_STREAMS = (*_MAPS, "lfgpu/pipelines/*.py")  # frames come from memory, by none of its `sources`
+_REFINED = tuple(f"lfgpu/calibration/{name}.py" for name in ("cameras", "misalign", "parallel", "refine", "resample"))
+_CAMERAS = (*_REFINED, "lfgpu/cameras", "kernels/warp")
 SOURCES: Mapping[str, tuple[str, ...]] = {
     "ablation": (*_MAPS, "lfgpu/scenes"),
     "batches": (*_STREAMS, "lfgpu/batch", "lfgpu/io"),
@@ -35,7 +36,7 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
     "suite": ("kernels", *_STREAMS, "benchmarks/operations.py", "benchmarks/pipelines.py"),
     "tile_differences": _STREAMS,
 }
-"""By benchmark: folders and files that its figures depend on, beside its own module."""
+"""By benchmark: folders and files, as patterns, that its figures depend on, beside its own module."""
 
 _OTHERS = (".h", ".cuh", ".cpp", ".toml", ".npz")
 
@@ -64,8 +65,7 @@ def hash_of(benchmark: str, root: Path = ROOT) -> str:
 
 
 def _files(root: Path, places: Iterable[str]) -> Iterator[Path]:
-    for place in places:
-        path = root / place
+    for path in (path for place in places for path in root.glob(place)):
         found = [path] if path.is_file() else path.rglob("*")
         yield from (file for file in found if file.suffix in (".py", *_OTHERS))
 

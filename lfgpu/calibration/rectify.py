@@ -238,15 +238,20 @@ def _range(rig: Rig, depths: tuple[float, float] | None) -> tuple[float, float] 
 
 
 def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
-    """Keep the grid and the truth of a light field whose reference view did not change by a pixel."""
-    truth = pictures.reference_truth()
-    if truth is None or len(lf.views) != len(pictures.views):
+    """Convert the truth to the rectified cameras, if the reference view did not change by a pixel.
+
+    The rectified cameras have another disparity 0 and another baseline; so it takes the depth, from the geometry of the
+    pictures.
+    """
+    truth, geometry = pictures.reference_truth(), pictures.geometry
+    if truth is None or geometry is None or len(lf.views) != len(pictures.views):
         return lf
     grid = pixels(*pictures.size)
     if np.abs(rig.places(rig.reference, grid) - grid).max() > 0.5:
         return lf
     u, v = lf.positions[lf.reference_index]
-    return replace(lf, truth=replace(truth, position=(float(u), float(v))))
+    disparity = rig.geometry.disparity(geometry.depth(truth.disparity)).astype(np.float32)
+    return replace(lf, truth=replace(truth, disparity=disparity, position=(float(u), float(v))))
 
 
 def _composed(pictures: LightField, rig: Rig, found: Refinement) -> LightField:

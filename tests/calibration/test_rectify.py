@@ -328,6 +328,16 @@ def test_two_pictures_of_one_name_are_refused(boxes: LightField) -> None:
         rectify(replace(boxes, files=names), calibration=known(tuple(ideal_cameras(boxes))))
 
 
+def test_the_truth_is_that_of_the_rectified_cameras(boxes: LightField) -> None:
+    """They have another disparity 0 than the pictures; without the depth nobody knows theirs."""
+    wrong = disturb(boxes, Misalignment(shift=1), seed=3)
+    found = rectify(wrong.light_field, calibration=known(wrong.cameras)).light_field
+    assert np.abs(np.median(found.truth.disparity - boxes.truth.disparity)) > 0.03
+    map_ = lfgpu.estimate_depth(found, config="fast", check_cameras=False)
+    assert np.median(np.abs(map_.disparity - found.truth.disparity)[15:-15, 15:-15]) < 0.03
+    assert rectify(replace(wrong.light_field, geometry=None), calibration=known(wrong.cameras)).light_field.truth is None
+
+
 def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:
     wrong = disturb(boxes, Misalignment(shift=1, gain=0.1), seed=3)
     found = rectify(wrong.light_field, calibration=known(wrong.cameras), tones=True)
