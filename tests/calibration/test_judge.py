@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from disturbed import truth, with_view
+from disturbed import displaced, truth, with_view
 from scipy import ndimage
 from typer.testing import CliRunner
 
@@ -26,16 +26,6 @@ from lfgpu.io.flips import flipped
 @pytest.fixture(scope="module")
 def boxes() -> LightField:
     return scenes.make("boxes", grid=(5, 5), size=(160, 160), seed=3)
-
-
-def displaced(image: np.ndarray, x: float, y: float, angle: float = 0.0) -> np.ndarray:
-    """What the picture shows, moved by x to the right and y down, after a clockwise turn about its middle (radians)."""
-    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # of (row, column)
-    middle = (np.array(image.shape[:2]) - 1) / 2
-    shift = middle - matrix @ (middle + np.array([y, x]))
-    return np.stack(
-        [ndimage.affine_transform(image[..., c], matrix, shift, order=5, mode="nearest") for c in range(3)], axis=-1
-    )
 
 
 def test_nothing_stands_out_where_cameras_are_right(boxes: LightField) -> None:
@@ -67,7 +57,7 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
 
 
 def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
-    turned = with_view(boxes, 6, lambda image: displaced(image, 0, 0, np.deg2rad(0.2)))
+    turned = with_view(boxes, 6, lambda image: displaced(image, degrees=0.2))
     found = lfgpu.explain(turned, truth(turned))
     assert found.rotation[6] == pytest.approx(0.2, abs=0.03)
     assert any("row 1, column 1" in sentence and "clockwise" in sentence for sentence in found.findings)
@@ -212,7 +202,7 @@ def test_tones_are_found_despite_noise(rng: np.random.Generator) -> None:
 
 
 def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:
-    moved = with_view(boxes, 3, lambda image: displaced(image, 0.3, 0))
+    moved = with_view(boxes, 3, lambda image: displaced(image, 0.3))
     write_hci(moved, tmp_path / "lf")
     write_pfm(tmp_path / "map.pfm", truth(boxes))
     result = CliRunner().invoke(app, ["check", str(tmp_path / "lf"), str(tmp_path / "map.pfm")])
