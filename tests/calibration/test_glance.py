@@ -1,14 +1,15 @@
 """A glance and a screening of cameras, what commands say of them by themselves, and the confidence that follows."""
 
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from command_line import lfgpu as command
 from conftest import real_data
 from disturbed import displaced, truth, with_view
-from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
@@ -19,7 +20,6 @@ from lfgpu.cameras.looking import look, part_of
 from lfgpu.cameras.points import Points
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.trust import _spread
-from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.io import write_hci
@@ -37,12 +37,17 @@ def boxes() -> LightField:
     return scenes.make("boxes", grid=(5, 5), size=(128, 144), seed=3, noise=0.004)
 
 
-def test_what_is_wrong_with_all_cameras_is_seen_at_a_glance(boxes: LightField) -> None:
+@pytest.fixture(scope="module")
+def out_of_line(boxes: LightField) -> LightField:
+    return disturb(boxes, Misalignment(shift=0.5), seed=1).light_field
+
+
+def test_what_is_wrong_with_all_cameras_is_seen_at_a_glance(boxes: LightField, out_of_line: LightField) -> None:
     assert glance(boxes) is None
-    off, dim = (disturb(boxes, Misalignment.parse(how), seed=1).light_field for how in ("shift=0.5", "gain=0.15"))
+    assert "out of line by 0." in str(glance(out_of_line))
+    assert "differ in brightness" in str(glance(disturb(boxes, Misalignment(gain=0.15), seed=1).light_field))
     flipped = replace(boxes, positions=boxes.positions * (1, -1), grid_shape=None, truth=None, geometry=None)
-    for wrong, words in ((off, "out of line by 0."), (dim, "differ in brightness"), (flipped, "opposite senses")):
-        assert words in str(glance(wrong))
+    assert "opposite senses" in str(glance(flipped))
 
 
 def test_nothing_is_seen_of_single_views_or_nothing(boxes: LightField, rng: np.random.Generator) -> None:
@@ -68,20 +73,20 @@ def test_the_part_that_is_looked_at_is_bounded_and_keeps_its_places(boxes: Light
     assert window == (slice(0, 128), slice(0, 144))
 
 
-def test_a_quick_judgement_finds_what_all_cameras_have(boxes: LightField) -> None:
-    wrong = disturb(boxes, Misalignment(shift=0.5), seed=1).light_field
-    result = lfgpu.estimate_depth(wrong, config="fast", disparity_range=(-2, 2), device="cpu")
-    quick = judged(wrong, result, device="cpu", in_part=True)
+def test_a_quick_judgement_finds_what_all_cameras_have(out_of_line: LightField) -> None:
+    result = estimated(out_of_line)
+    quick = judged(out_of_line, result, device="cpu", in_part=True)
     assert "out of line" in quick.remarks[0]
     assert np.nanmean(quick.confidence) < np.nanmean(result.confidence) - 0.1
 
 
-def test_info_says_it(boxes: LightField, tmp_path: Path) -> None:
-    write_hci(disturb(boxes, Misalignment(shift=0.5), seed=1).light_field, tmp_path / "moved")
-    write_hci(boxes, tmp_path / "right")
-    moved, right = (CliRunner().invoke(app, ["info", str(tmp_path / name)]).stdout for name in ("moved", "right"))
-    assert "cameras the views are out of line" in " ".join(moved.split())
-    assert "out of line" not in right
+def test_info_says_it(boxes: LightField, out_of_line: LightField, tmp_path: Path) -> None:
+    said = []
+    for name, lf in (("moved", out_of_line), ("right", boxes)):
+        write_hci(lf, tmp_path / name)
+        said.append(" ".join(command("info", tmp_path / name).out.split()))
+    assert "cameras the views are out of line" in said[0]
+    assert "out of line" not in said[1]
 
 
 @pytest.mark.parametrize("name", ["boxes", "planes", "relief", "bars"])
@@ -162,7 +167,7 @@ def test_what_is_hidden_lands_where_something_nearer_lands(boxes: LightField, in
 INNER = (slice(15, -15), slice(15, -15))
 
 
-@pytest.fixture(scope="module")
+@cache
 def planes() -> LightField:
     return scenes.make("planes", grid=(5, 5), size=(128, 144), seed=2, noise=0.004)
 
@@ -171,9 +176,17 @@ def estimated(lf: LightField) -> DepthResult:
     return lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2), device="cpu", check_cameras=False)
 
 
-def right(result: DepthResult, lf: LightField) -> float:
+@cache
+def looked_at(how: str, seed: int = 1) -> tuple[DepthResult, DepthResult]:
+    """A result, before and after its cameras are looked at, which are misaligned if that is told."""
+    lf = disturb(planes(), Misalignment.parse(how), seed=seed).light_field if how else planes()
+    before = estimated(lf)
+    return before, judged(lf, before, device="cpu")
+
+
+def right(result: DepthResult) -> float:
     """The share of pixels within 0.07 of the truth, which the confidence claims to be."""
-    return float((np.abs(result.disparity - lf.truth.disparity)[INNER] <= 0.07).mean())
+    return float((np.abs(result.disparity - truth(planes()))[INNER] <= 0.07).mean())
 
 
 def said(result: DepthResult) -> float:
@@ -181,16 +194,14 @@ def said(result: DepthResult) -> float:
 
 
 @pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
-def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightField, how: str) -> None:
-    wrong = disturb(planes, Misalignment.parse(how), seed=1).light_field
-    before = estimated(wrong)
-    after = judged(wrong, before, device="cpu")
+def test_confidence_falls_to_what_is_true_where_cameras_are_off(how: str) -> None:
+    before, after = looked_at(how)
     assert len(after.remarks) == 1
     assert "line" in after.remarks[0]
     assert before.uncertainty is not None
     assert after.uncertainty is not None
     assert (after.uncertainty > before.uncertainty).all()
-    errors = np.abs(after.disparity - planes.truth.disparity)[INNER]
+    errors = np.abs(after.disparity - truth(planes()))[INNER]
     within = [(errors < result.uncertainty[INNER]).mean() for result in (before, after)]
     assert within[1] > max(0.85, within[0])  # of errors as a Gaussian has them, 0.68
     np.testing.assert_array_equal(after.disparity, before.disparity)
@@ -198,49 +209,39 @@ def test_confidence_falls_to_what_is_true_where_cameras_are_off(planes: LightFie
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
-def test_over_many_arrays_it_falls_to_what_is_true(planes: LightField, how: str) -> None:
+def test_over_many_arrays_it_falls_to_what_is_true(how: str) -> None:
     """One array can be lucky: its errors may cancel for the texture that there is."""
-    shares, claims, claims_after = [], [], []
-    for seed in range(1, 9):
-        wrong = disturb(planes, Misalignment.parse(how), seed=seed).light_field
-        before = estimated(wrong)
-        shares.append(right(before, planes))
-        claims.append(said(before))
-        claims_after.append(said(judged(wrong, before, device="cpu")))
-    share, claim, claim_after = (float(np.mean(values)) for values in (shares, claims, claims_after))
+    pairs = [looked_at(how, seed) for seed in range(1, 9)]
+    share, claim, claim_after = np.mean([(right(before), said(before), said(after)) for before, after in pairs], axis=0)
     assert claim > share + 0.15
     assert abs(claim_after - share) < 0.6 * (claim - share)
 
 
-def test_rotations_count_more_away_from_the_middle(planes: LightField) -> None:
-    wrong = disturb(planes, Misalignment(roll=0.7), seed=1).light_field
-    before = estimated(wrong)
-    share = judged(wrong, before, device="cpu").confidence / np.maximum(before.confidence, 1e-6)
+def test_rotations_count_more_away_from_the_middle() -> None:
+    before, after = looked_at("roll=0.7")
+    share = after.confidence / np.maximum(before.confidence, 1e-6)
     assert share[64, 72] > share[15, 15] + 0.1
 
 
-def test_right_cameras_change_nothing_and_brightness_no_confidence(planes: LightField) -> None:
-    result = estimated(planes)
-    after = judged(planes, result, device="cpu")
+def test_right_cameras_change_nothing_and_brightness_no_confidence() -> None:
+    result, after = looked_at("")
     assert (after.notes, after.remarks) == (result.notes, ())
     assert after.confidence is result.confidence
-    wrong = disturb(planes, Misalignment(gain=0.1), seed=1).light_field
-    result = estimated(wrong)
-    after = judged(wrong, result, device="cpu")
+    result, after = looked_at("gain=0.1")
     assert "brightness" in after.remarks[0]
     np.testing.assert_array_equal(after.confidence, result.confidence)
 
 
-def test_the_spread_is_how_far_each_view_moves_a_pixel(planes: LightField, rng: np.random.Generator) -> None:
+def test_the_spread_is_how_far_each_view_moves_a_pixel(rng: np.random.Generator) -> None:
     """Shift, turn (from x to y) and scale of each view as a matrix, applied to pixels of a corner and of the middle."""
-    count, used = len(planes.views), [0, 4, 7, 20]
+    count, used = len(planes().views), [0, 4, 7, 20]
     shift, turn, scale = rng.normal(0, 0.5, (count, 2)), rng.normal(0, 0.01, count), rng.normal(0, 0.01, count)
     found = SimpleNamespace(shift=shift, rotation=np.rad2deg(turn), scale=scale)
-    spread = _spread(planes, found, used)  # type: ignore[arg-type]
+    spread = _spread(planes(), found, used)  # type: ignore[arg-type]
     moving = np.array([[scale, -turn, shift[:, 0]], [turn, scale, shift[:, 1]]]).transpose(2, 0, 1)
     for y, x in ((0, 0), (127, 5), (64, 72), (3, 140)):
         moved = moving @ np.array([x - 143 / 2, y - 127 / 2, 1.0])
-        want = np.sqrt((moved**2).sum(1).mean() / (planes.offsets[used] ** 2).sum())
+        want = np.sqrt((moved**2).sum(1).mean() / (planes().offsets[used] ** 2).sum())
         np.testing.assert_allclose(spread[y, x], want, rtol=1e-5)
 
 
