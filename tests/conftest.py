@@ -178,6 +178,12 @@ def nothing_kept(
             monkeypatch.setattr(verdict, name, partial(_seen_once, getattr(verdict, name)))
 
 
+@pytest.fixture
+def _no_look(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Cameras are not looked at: that takes longer than all else that `info` does."""
+    monkeypatch.setattr(verdict, "look", lambda *_, **__: None)
+
+
 _SEEN: dict[bytes, Any] = {}
 
 

@@ -1,5 +1,6 @@
 """Helpers of tests of streams: a scene that moves, streams of it, and waiting without an end."""
 
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -49,6 +50,24 @@ def held(stream: lfgpu.DepthStream) -> Iterator[None]:
     """The stream gets no further than the frame that it works on."""
     with load("warp").asking(stream.device):
         yield
+
+
+@contextmanager
+def pushing(push: Callable[[], object], every: float = 0.0) -> Iterator[None]:
+    """Push frames from a thread of its own, one after the other or so many seconds apart."""
+    stop = threading.Event()
+
+    def run() -> None:
+        while not stop.wait(every):
+            push()
+
+    pusher = threading.Thread(target=run)
+    pusher.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        pusher.join()
 
 
 def until(condition: Callable[[], bool]) -> None:

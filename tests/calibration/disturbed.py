@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from scipy import ndimage
 
 from lfgpu.data.lightfield import LightField
 
@@ -18,3 +19,14 @@ def with_view(lf: LightField, index: int, change: Callable[[np.ndarray], np.ndar
     views = lf.views.copy()
     views[index] = np.clip(np.rint(change(views[index].astype(np.float64))), 0, 255)
     return replace(lf, views=views)
+
+
+def displaced(image: np.ndarray, x: float = 0.0, y: float = 0.0, degrees: float = 0.0) -> np.ndarray:
+    """What the picture shows, moved by x to the right and y down, after a clockwise turn about its middle."""
+    angle = np.deg2rad(degrees)
+    matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])  # of (row, column)
+    middle = (np.array(image.shape[:2]) - 1) / 2
+    shift = middle - matrix @ (middle + np.array([y, x]))
+    return np.stack(
+        [ndimage.affine_transform(image[..., c], matrix, shift, order=5, mode="nearest") for c in range(3)], axis=-1
+    )

@@ -36,18 +36,22 @@ def quaternion(rotation: np.ndarray) -> np.ndarray:
     return np.array([w, odd[2, 1] / (4 * w), odd[0, 2] / (4 * w), odd[1, 0] / (4 * w)])
 
 
+def opencv_array(key: str, array: np.ndarray, indent: str = "") -> list[str]:
+    """An array as OpenCV writes it in YAML."""
+    about = [f"rows: {len(array)}", f"cols: {array.shape[1]}"] if array.ndim < 3 else [f"sizes: {list(array.shape)}"]
+    about += [f"dt: {'d' if array.dtype == np.float64 else 'i'}", f"data: {array.ravel().tolist()}"]
+    kind = "matrix" if array.ndim < 3 else "nd-matrix"
+    return [f"{indent}{key}: !!opencv-{kind}", *(f"{indent}   {line}" for line in about)]
+
+
 def as_opencv(cameras: list[Camera], folder: Path) -> Path:
     text = ["%YAML:1.0", "---", "cameras:"]
     for camera in cameras:
         text += [f"  - name: {camera.name}", "    image_width: 640", "    image_height: 480"]
-        for key, matrix in (
-            ("camera_matrix", camera.matrix),
-            ("distortion_coefficients", np.array([camera.distortion])),
-            ("R", np.asarray(camera.rotation)),
-            ("T", np.asarray(camera.translation)[:, None]),
-        ):
-            text += [f"    {key}: !!opencv-matrix", f"      rows: {len(matrix)}", f"      cols: {matrix.shape[1]}"]
-            text += ["      dt: d", f"      data: {[float(value) for value in matrix.ravel()]}"]
+        text += opencv_array("camera_matrix", camera.matrix, "    ")
+        text += opencv_array("distortion_coefficients", np.array([camera.distortion]), "    ")
+        text += opencv_array("R", np.asarray(camera.rotation), "    ")
+        text += opencv_array("T", np.asarray(camera.translation)[:, None], "    ")
         text += ["    fisheye: 1"] if camera.model == "fisheye" else []
     (folder / "rig.yaml").write_text("\n".join(text) + "\n")
     return folder / "rig.yaml"
@@ -71,7 +75,6 @@ def as_opencv_json(cameras: list[Camera], folder: Path) -> Path:
 
 def as_multiview(cameras: list[Camera], folder: Path) -> Path:
     """Return the output of OpenCV's multiview_calibration.py: an array for each kind of number, of all cameras."""
-    count, text = len(cameras), ["%YAML:1.0", "---"]
     arrays = {
         "Ks": np.stack([camera.matrix for camera in cameras]),
         "distortions": np.stack([camera.distortion for camera in cameras]),
@@ -80,15 +83,9 @@ def as_multiview(cameras: list[Camera], folder: Path) -> Path:
         "image_sizes": np.array([camera.size[::-1] for camera in cameras], np.int32),
         "models": np.array([[camera.model == "fisheye"] for camera in cameras], np.int32),
     }
-    for key, array in arrays.items():
-        kind = "d" if array.dtype == np.float64 else "i"
-        if array.ndim == 3:
-            text += [f"{key}: !!opencv-nd-matrix", f"   sizes: {list(array.shape)}"]
-        else:
-            text += [f"{key}: !!opencv-matrix", f"   rows: {count}", f"   cols: {array.shape[1]}"]
-        text += [f"   dt: {kind}", f"   data: {array.ravel().tolist()}"]
-    text.append(f'cam_ids: "{",".join(camera.name for camera in cameras)}"')
-    (folder / "multi.yaml").write_text("\n".join(text) + "\n")
+    text = [line for key, array in arrays.items() for line in opencv_array(key, array)]
+    names = ",".join(camera.name for camera in cameras)
+    (folder / "multi.yaml").write_text("\n".join(["%YAML:1.0", "---", *text, f'cam_ids: "{names}"']) + "\n")
     return folder / "multi.yaml"
 
 
@@ -119,27 +116,31 @@ def colmap_values(camera: Camera) -> tuple[str, int, list[float]]:
     return name, number, [fx, fy, cx + 0.5, cy + 0.5, *camera.distortion]
 
 
-def as_colmap_text(cameras: list[Camera], folder: Path) -> Path:
-    lenses, poses = ["# Camera list"], ["# Image list"]
+def pose_of(camera: Camera) -> list[float]:
+    """The quaternion and the translation of a camera, as COLMAP has them."""
+    return [*quaternion(np.asarray(camera.rotation)).tolist(), *np.asarray(camera.translation).tolist()]
+
+
+def as_colmap_text(cameras: list[Camera], folder: Path, lenses: int = 99) -> Path:
+    """Images of which each has a lens of its own, as long as there are `lenses`; then they begin anew."""
+    listed, poses = ["# Camera list"], ["# Image list"]
     for n, camera in enumerate(cameras):
         name, _, values = colmap_values(camera)
-        lenses.append(f"{n + 1} {name} 640 480 {' '.join(map(repr, values))}")
-        numbers = [*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)]
-        poses += [f"{n + 7} {' '.join(repr(float(v)) for v in numbers)} {n + 1} {camera.name}", "1.0 2.0 -1"]
-    (folder / "cameras.txt").write_text("\n".join(lenses) + "\n")
+        listed += [f"{n + 1} {name} 640 480 {' '.join(map(repr, values))}"] if n < lenses else []
+        poses += [f"{n + 7} {' '.join(map(repr, pose_of(camera)))} {n % lenses + 1} {camera.name}", "1.0 2.0 -1"]
+    (folder / "cameras.txt").write_text("\n".join(listed) + "\n")
     (folder / "images.txt").write_text("\n".join(poses) + "\n")
     return folder
 
 
-def as_colmap_binary(cameras: list[Camera], folder: Path) -> Path:
-    lenses, poses = [struct.pack("<Q", len(cameras))], [struct.pack("<Q", len(cameras))]
+def as_colmap_binary(cameras: list[Camera], folder: Path, lenses: int = 99) -> Path:
+    listed, poses = [], [struct.pack("<Q", len(cameras))]
     for n, camera in enumerate(cameras):
         _, number, values = colmap_values(camera)
-        lenses.append(struct.pack(f"<iiQQ{len(values)}d", n + 1, number, 640, 480, *values))
-        numbers = [*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)]
-        poses.append(struct.pack("<I7dI", n + 7, *numbers, n + 1) + camera.name.encode() + b"\0")
+        listed += [struct.pack(f"<iiQQ{len(values)}d", n + 1, number, 640, 480, *values)] if n < lenses else []
+        poses.append(struct.pack("<I7dI", n + 7, *pose_of(camera), n % lenses + 1) + camera.name.encode() + b"\0")
         poses.append(struct.pack("<Qddq", 1, 1.0, 2.0, -1))
-    (folder / "cameras.bin").write_bytes(b"".join(lenses))
+    (folder / "cameras.bin").write_bytes(struct.pack("<Q", len(listed)) + b"".join(listed))
     (folder / "images.bin").write_bytes(b"".join(poses))
     return folder
 

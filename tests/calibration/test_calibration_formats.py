@@ -1,6 +1,5 @@
 """Calibrations written as others write them and read back: the same rays from the same places."""
 
-import json
 import struct
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from tests.calibration.rigs import (
     as_colmap_text,
     as_kalibr,
     as_llff,
+    pose_of,
     quaternion,
     rig,
 )
@@ -57,39 +57,19 @@ def moved(camera: Camera, rotation: np.ndarray, translation: np.ndarray, name: s
 def test_the_rig_of_a_colmap_model(binary: bool, tmp_path: Path) -> None:
     """Images that a rig took from two places calibrate pictures of other names, by folder or by order."""
     cameras = rig()
-    first = cameras[0]
-    turn, shift = np.asarray(first.rotation), np.asarray(first.translation)
+    turn, shift = np.asarray(cameras[0].rotation), np.asarray(cameras[0].translation)
     # In the frame of the first camera, as COLMAP has rigs.
     own = [moved(camera, turn.T, -turn.T @ shift, f"left{n}") for n, camera in enumerate(cameras)]
     poses = [(turned(np.array([0.1, 0.2, 0.3]) * k), np.array([1.0, 2.0, 3.0]) * k) for k in (0, 1)]
     images = [moved(camera, *pose, f"rig/{camera.name}/shot{k}.png") for k, pose in enumerate(poses) for camera in own]
-    write = as_colmap_binary if binary else as_colmap_text
-    write(images, tmp_path)
-    write_lenses = as_colmap_binary if binary else as_colmap_text
-    (tmp_path / "lenses").mkdir()
-    write_lenses(own, tmp_path / "lenses")
-    # Two images share a lens: the model has four of them.
-    for name in ("cameras.bin", "cameras.txt"):
-        if (tmp_path / "lenses" / name).is_file():
-            (tmp_path / "lenses" / name).replace(tmp_path / name)
-    numbers = [[*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)] for camera in own]
     if binary:
-        data = bytearray((tmp_path / "images.bin").read_bytes())
-        at = 8
-        for n in range(len(images)):
-            struct.pack_into("<I", data, at + 60, n % 4 + 1)
-            at = data.index(b"\0", at + 64) + 1 + 8 + 24
-        (tmp_path / "images.bin").write_bytes(data)
+        as_colmap_binary(images, tmp_path, lenses=4)
         parts = [struct.pack("<QIIiI", 1, 1, 5, 0, 1)]
-        parts += [struct.pack("<iIB7d", 0, n + 1, 1, *numbers[n]) for n in (1, 2, 3)]
+        parts += [struct.pack("<iIB7d", 0, n + 1, 1, *pose_of(own[n])) for n in (1, 2, 3)]
         (tmp_path / "rigs.bin").write_bytes(b"".join(parts) + struct.pack("<iIB", 1, 9, 0))
     else:
-        lines = (tmp_path / "images.txt").read_text().splitlines()
-        for n in range(len(images)):
-            parts = lines[1 + 2 * n].split(maxsplit=9)
-            lines[1 + 2 * n] = " ".join([*parts[:8], str(n % 4 + 1), parts[9]])
-        (tmp_path / "images.txt").write_text("\n".join(lines))
-        rows = [f"CAMERA {n + 1} 1 {' '.join(repr(float(v)) for v in numbers[n])}" for n in (1, 2, 3)]
+        as_colmap_text(images, tmp_path, lenses=4)
+        rows = [f"CAMERA {n + 1} 1 {' '.join(map(repr, pose_of(own[n])))}" for n in (1, 2, 3)]
         (tmp_path / "rigs.txt").write_text(f"# rigs\n1 5 CAMERA 1 {' '.join(rows)} IMU 9 0\n")
     found = read_calibration(tmp_path)
     assert len(found.cameras) == 8
@@ -102,9 +82,6 @@ def test_the_rig_of_a_colmap_model(binary: bool, tmp_path: Path) -> None:
     assert [camera.name for camera in by_folder] == ["left2", "left0"]
     by_order = matched(found.cameras, ["a.png", "b.png", "c.png", "d.png"], size, "rig", rig=found.rig)
     assert by_order == list(found.rig)
-    (tmp_path / ("rigs.bin" if binary else "rigs.txt")).write_bytes(struct.pack("<Q", 4) if binary else b"1 2 CAMERA x")
-    with pytest.raises(LightFieldError, match="damaged rig"):
-        read_calibration(tmp_path)
 
 
 @pytest.mark.parametrize("binary", [False, True], ids=["text", "binary"])
@@ -112,7 +89,7 @@ def test_images_of_a_colmap_model_that_are_older_than_its_frames(binary: bool, t
     """Frames and rigs say where images were taken; poses of images that say otherwise are stale."""
     cameras = rig()
     as_colmap_binary(cameras, tmp_path) if binary else as_colmap_text(cameras, tmp_path)
-    poses = [[*quaternion(np.asarray(camera.rotation)), *np.asarray(camera.translation)] for camera in cameras]
+    poses = [pose_of(camera) for camera in cameras]
     first = 7  # number of the first image
 
     def write(moved: float) -> None:
@@ -169,40 +146,8 @@ def _same(cameras: list[Camera], found: tuple[Camera, ...], *, of_first: bool = 
 
 
 def test_what_is_no_calibration_is_refused(tmp_path: Path) -> None:
-    """Each with one sentence that names the file."""
-    cases: dict[str, tuple[str | bytes, str]] = {
-        "a.toml": ("[[cameras]]\nname = 'x'\n", "has no size"),
-        "b.toml": ("[[cameras", "not valid TOML"),
-        "c.json": ("{", "not valid JSON"),
-        "d.json": ('{"frames": [{}]}', "has no file_path"),
-        "e.yaml": ("cam0:\n  camera_model: omni\n  intrinsics: []\n  distortion_model: none\n", "omni"),
-        "f.npy": (b"nothing", "cannot be read"),
-        "g.txt": ("", "no calibration that is known"),
-        "h.yaml": ("a: 1", "has no cameras"),
-        "i.yaml": ("x: {image_width: 4, image_height: 4}", "has no K"),
-        "j.yaml": ("x: {K: [1, 0, 1, 0, 1, 1, 0, 0, 1]}", "x has no image_width"),
-        "k.json": ('{"frames": "none"}', "frames must be a list of tables"),
-    }
-    for name, (content, words) in cases.items():
-        path = tmp_path / name
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-        with pytest.raises(LightFieldError, match=words) as error:
-            read_calibration(path)
-        assert str(error.value).count(name) == 1
-    with pytest.raises(LightFieldError, match="does not exist"):
-        read_calibration(tmp_path / "nothing.toml")
-    with pytest.raises(LightFieldError, match="no model of COLMAP"):
-        read_calibration(tmp_path)
-    (tmp_path / "cameras.bin").write_bytes(struct.pack("<Q", 3))
-    (tmp_path / "images.bin").write_bytes(struct.pack("<Q", 3))
-    with pytest.raises(LightFieldError, match="damaged"):
-        read_calibration(tmp_path)
-    mirrored = np.diag([1.0, 1.0, -1.0])
-    (tmp_path / "m.json").write_text(
-        json.dumps({"left": {"K": np.eye(3).tolist(), "R": mirrored.tolist(), "image_size": [4, 4]}})
-    )
-    with pytest.raises(LightFieldError, match="left: the rotation mirrors"):
-        read_calibration(tmp_path / "m.json")
+    assert "does not exist" in refused(tmp_path / "nothing.toml")
+    assert "no model of COLMAP" in refused(tmp_path)
 
 
 def refused(path: Path) -> str:
@@ -210,7 +155,7 @@ def refused(path: Path) -> str:
     with pytest.raises(LightFieldError) as error:
         read_calibration(path)
     text = str(error.value)
-    assert path.name in text
+    assert text.count(path.name) == 1
     assert text.endswith(".")
     assert printable(text) == text
     return text
@@ -220,26 +165,61 @@ LAUGHS = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9) if n else '1'}]\n
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    ("suffix", "content", "words"),
     [
-        (LAUGHS + "left: {K: *a11, image_size: [4, 4]}", "unfold to more than any calibration has"),
-        ("left: &a [*a]", "an alias of something that it is in"),
-        ("[" * 5000, "not valid YAML"),
-        ("left: {K: 2001-01-01, image_size: [4, 4]}", "numbers were expected, found datetime"),
-        ("left: {K: !!opencv-matrix {rows: 3}, image_size: [4, 4]}", "a matrix without data"),
-        ("left: {K: !!opencv-matrix {rows: 99999999, cols: 9, data: [1]}, image_size: [4, 4]}", "99999999 x 9"),
-        ("left: {K: [1, 2], image_size: [4, 4]}", "9 numbers were expected, found 2"),
-        ("left: {K: [" + "1" * 400 + ", 0, 0, 0, 0, 0, 0, 0, 0], image_size: [4, 4]}", "numbers were expected, found"),
-        ("left: !!python/object/apply:os.getcwd []", "not valid YAML"),
-        ("Ks: []\nRs: []", "Ks is empty"),
-        ("Ks: 5", "9 numbers were expected, found 1"),
-        ("cam0: {camera_model: pinhole, distortion_model: radtan, intrinsics: [1, 1, 1e300, 1]}", "numbers up to"),
-        ("cam0: {camera_model: pinhole, distortion_model: [], intrinsics: []}", "wrong entries"),
+        ("toml", "[[cameras]]\nname = 'x'\n", "has no size"),
+        ("toml", "[[cameras", "not valid TOML"),
+        ("npy", "nothing", "cannot be read"),
+        ("txt", "", "no calibration that is known"),
+        ("yaml", "cam0:\n  camera_model: omni\n  intrinsics: []\n  distortion_model: none\n", "omni"),
+        ("yaml", "a: 1", "has no cameras"),
+        ("yaml", "x: {image_width: 4, image_height: 4}", "has no K"),
+        ("yaml", "x: {K: [1, 0, 1, 0, 1, 1, 0, 0, 1]}", "x has no image_width"),
+        ("yaml", LAUGHS + "left: {K: *a11, image_size: [4, 4]}", "unfold to more than any calibration has"),
+        ("yaml", "left: &a [*a]", "an alias of something that it is in"),
+        ("yaml", "[" * 5000, "not valid YAML"),
+        ("yaml", "left: {K: 2001-01-01, image_size: [4, 4]}", "numbers were expected, found datetime"),
+        ("yaml", "left: {K: !!opencv-matrix {rows: 3}, image_size: [4, 4]}", "a matrix without data"),
+        (
+            "yaml",
+            "left: {K: !!opencv-matrix {rows: 99999999, cols: 9, data: [1]}, image_size: [4, 4]}",
+            "99999999 x 9",
+        ),
+        ("yaml", "left: {K: [1, 2], image_size: [4, 4]}", "9 numbers were expected, found 2"),
+        ("yaml", "left: {K: [" + "1" * 400 + ", 0, 0, 0, 0, 0, 0, 0, 0], image_size: [4, 4]}", "were expected, found"),
+        ("yaml", "left: !!python/object/apply:os.getcwd []", "not valid YAML"),
+        ("yaml", "Ks: []\nRs: []", "Ks is empty"),
+        ("yaml", "Ks: 5", "9 numbers were expected, found 1"),
+        ("yaml", "cam0: {camera_model: pinhole, distortion_model: radtan, intrinsics: [1, 1, 1e300, 1]}", "up to"),
+        ("yaml", "cam0: {camera_model: pinhole, distortion_model: [], intrinsics: []}", "wrong entries"),
+        ("json", "{", "not valid JSON"),
+        ("json", "[" * 100_000, "not valid JSON"),
+        ("json", '{"frames": [{}]}', "has no file_path"),
+        ("json", '{"frames": [{"w": 1e999, "h": 4}]}', "numbers up to 1e+12 were expected, found inf"),
+        ("json", '{"frames": [{"w": 4, "h": 4, "camera_angle_x": 0}]}', "angle between 0 and pi"),
+        ("json", '{"frames": [{"w": 4, "h": 4, "fl_x": 4, "transform_matrix": [[1, 0, 0, 0]]}]}', "3 or 4 rows"),
+        ("json", '{"frames": []}', "has no cameras"),
+        ("json", '{"frames": 5}', "frames must be a list of tables"),
+        (
+            "json",
+            '{"left": {"K": {"type_id": "opencv-matrix", "rows": -1, "cols": 3, "data": []}, "image_size": [4, 4]}}',
+            "-1",
+        ),
+        (
+            "json",
+            '{"left": {"K": [[5, 0, 2], [0, 5, 2], [0, 0, 1]], "image_size": [1e9, 4]}}',
+            "no camera has",
+        ),
+        (
+            "json",
+            '{"left": {"K": [1, 0, 0, 0, 1, 0, 0, 0, 1], "R": [1, 0, 0, 0, 1, 0, 0, 0, -1], "image_size": [4, 4]}}',
+            "left: the rotation mirrors",
+        ),
     ],
 )
-def test_yaml_that_is_no_calibration(tmp_path: Path, content: str, words: str) -> None:
-    (tmp_path / "rig.yaml").write_text(content)
-    assert words in refused(tmp_path / "rig.yaml")
+def test_texts_that_are_no_calibration(tmp_path: Path, suffix: str, content: str, words: str) -> None:
+    (tmp_path / f"rig.{suffix}").write_text(content)
+    assert words in refused(tmp_path / f"rig.{suffix}")
 
 
 def test_yaml_that_is_small_is_read(tmp_path: Path) -> None:
@@ -254,27 +234,6 @@ def test_yaml_that_is_small_is_read(tmp_path: Path) -> None:
     path.write_text(text.replace("resolution: [640, 480]", "resolution: *size"))
     assert "*size" in path.read_text()
     assert [camera.size for camera in read_calibration(path).cameras] == [(480, 640)] * 4
-
-
-@pytest.mark.parametrize(
-    ("content", "words"),
-    [
-        ("[" * 100_000, "not valid JSON"),
-        ('{"frames": [{"w": 1e999, "h": 4}]}', "numbers up to 1e+12 were expected, found inf"),
-        ('{"frames": [{"w": 4, "h": 4, "camera_angle_x": 0}]}', "angle between 0 and pi"),
-        ('{"frames": [{"w": 4, "h": 4, "fl_x": 4, "transform_matrix": [[1, 0, 0, 0]]}]}', "3 or 4 rows"),
-        ('{"frames": []}', "has no cameras"),
-        ('{"frames": 5}', "frames must be a list of tables"),
-        (
-            '{"left": {"K": {"type_id": "opencv-matrix", "rows": -1, "cols": 3, "data": []}, "image_size": [4, 4]}}',
-            "-1",
-        ),
-        ('{"left": {"K": [[5, 0, 2], [0, 5, 2], [0, 0, 1]], "image_size": [1e9, 4]}}', "no camera has pictures of"),
-    ],
-)
-def test_json_that_is_no_calibration(tmp_path: Path, content: str, words: str) -> None:
-    (tmp_path / "rig.json").write_text(content)
-    assert words in refused(tmp_path / "rig.json")
 
 
 def test_arrays_that_are_no_poses(tmp_path: Path) -> None:

@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import lfgpu as command
+from command_line import refused
 from PIL import Image
-from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
@@ -28,7 +29,6 @@ from lfgpu.calibration.formats import Calibration, read_toml
 from lfgpu.calibration.misalign import displacements
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import pixels
-from lfgpu.cli import app
 from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
@@ -95,13 +95,11 @@ def test_cameras_that_stand_elsewhere_see_from_there() -> None:
         scenes.make("planes", grid=(2, 2), size=(64, 64), displaced=moved[:2])
 
 
-def test_the_command_writes_both_calibrations(tmp_path) -> None:
+def test_the_command_writes_both_calibrations(tmp_path: Path) -> None:
     out = tmp_path / "lf"
-    run = CliRunner().invoke(
-        app,
-        f"scene boxes -o {out} --grid 3x3 --size 48x64 --seed 4 --misalign shift=1,position=0.05,gain=0.1".split(),
-    )
-    assert run.exit_code == 0, run.output
+    wrong = "--misalign=shift=1,position=0.05,gain=0.1"
+    run = command("scene", "boxes", "-o", out, "--grid=3x3", "--size=48x64", "--seed=4", wrong)
+    assert run.code == 0, run.err
     lf = lfgpu.read(out)
     true, calibrated = read_toml(out / "cameras_true.toml"), read_toml(out / "cameras.toml")
     assert [camera.name for camera in true] == [f"input_Cam{n:03d}.png" for n in range(9)]
@@ -109,9 +107,7 @@ def test_the_command_writes_both_calibrations(tmp_path) -> None:
     baseline = lf.geometry.baseline_m  # type: ignore[union-attr]
     gaps = [np.linalg.norm(a.centre - b.centre) / baseline for a, b in zip(true, calibrated, strict=True)]
     assert 0 < max(gaps) < 0.1
-    again = CliRunner().invoke(app, ["scene", "boxes", "-o", str(out), "--misalign", "wobble=1"])
-    assert again.exit_code == 1
-    assert "misalignment must be NAME=NUMBER" in again.stderr
+    refused(command("scene", "boxes", "-o", out, "--misalign", "wobble=1"), "misalignment must be NAME=NUMBER")
     with pytest.raises(LightFieldError, match="shift must be a number from 0 to 1000"):
         Misalignment(shift=-1)
 
@@ -159,24 +155,18 @@ SIZE = (60, 80)
 NORMAL, OFFSET = np.array([0.1, -0.2, 1.0]), 2.0  # the plane of points X with NORMAL X = OFFSET, in the world
 
 
-def rig(rng: np.random.Generator, *, ahead: float) -> list[Camera]:
-    """Nine cameras that are turned a little, with lenses, about a plane."""
-    found = []
+def rig(rng: np.random.Generator, *, ahead: float) -> tuple[list[Camera], LightField]:
+    """Nine cameras that are turned a little, with lenses, about a plane, and what they recorded."""
+    cameras = []
     for n in range(9):
         rotation = turned(0.02 * rng.normal(size=3))
-        centre = np.array([0.05 * (n % 3), 0.05 * (n // 3), ahead * rng.normal()])
-        found.append(
-            Camera(
-                size=SIZE,
-                focal_length=(90.0, 91.0),
-                principal_point=(40.0, 29.0),
-                distortion=(-0.1, 0.02, 0.001, -0.001),
-                rotation=rotation,
-                translation=-rotation @ centre,
-                name=f"camera {n}",
-            )
+        translation = -rotation @ np.array([0.05 * (n % 3), 0.05 * (n // 3), ahead * rng.normal()])
+        lens = (-0.1, 0.02, 0.001, -0.001)
+        cameras.append(
+            Camera(SIZE, (90.0, 91.0), (40.0, 29.0), lens, "pinhole", rotation, translation, name=f"camera {n}")
         )
-    return found
+    views = rng.integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
+    return cameras, LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
 
 
 def depth_of_the_plane(camera: Camera) -> np.ndarray:
@@ -188,9 +178,7 @@ def depth_of_the_plane(camera: Camera) -> np.ndarray:
 @pytest.mark.parametrize(("ahead", "close"), [(0.0, 0.004), (0.004, 0.006)])
 @pytest.mark.parametrize("index", [4, 0])
 def test_a_plane_is_found_in_the_picture_as_it_was(ahead: float, close: float, index: int) -> None:
-    cameras = rig(np.random.default_rng(0), ahead=ahead)
-    views = np.random.default_rng(1).integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
-    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
+    cameras, pictures = rig(np.random.default_rng(0), ahead=ahead)
     found = rectify(pictures, calibration=Calibration(tuple(cameras), "rig", "lfgpu"), depths=(1.5, 2.5))
     lf, known = found.light_field, found.rig
     # The true map of a rectified view: where its rays meet the plane, seen from the common frame.
@@ -212,9 +200,7 @@ def test_a_plane_is_found_in_the_picture_as_it_was(ahead: float, close: float, i
 
 
 def test_depths_are_in_the_unit_of_the_calibration(rng: np.random.Generator, tmp_path: Path) -> None:
-    cameras = rig(rng, ahead=0.001)
-    views = rng.integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
-    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
+    cameras, pictures = rig(rng, ahead=0.001)
     far = [replace(camera, translation=1000 * np.asarray(camera.translation)) for camera in cameras]
     write_cameras(far, tmp_path / "cameras.toml")
     found = rectify(pictures, calibration=tmp_path / "cameras.toml", unit="mm", depths=(1500, 2500))
@@ -223,19 +209,8 @@ def test_depths_are_in_the_unit_of_the_calibration(rng: np.random.Generator, tmp
     assert found.rig.corrected_at == pytest.approx(want.rig.corrected_at)
 
 
-def test_without_a_calibration_there_is_no_original(rng: np.random.Generator) -> None:
-    cameras = rig(rng, ahead=0.0)
-    views = rng.integers(0, 255, (9, *SIZE, 1)).astype(np.uint8)
-    pictures = LightField(views, np.stack([np.arange(9), np.zeros(9)], 1), name="rig")
-    found = rectify(pictures, calibration=Calibration(tuple(cameras), "rig", "lfgpu"))
-    map_ = DisparityMap(np.zeros(SIZE, np.float32))
-    with pytest.raises(LightFieldError, match="was not rectified"):
-        replace(found, rig=None).original_depth(map_)
-    with pytest.raises(LightFieldError, match="the map must be of"):
-        found.original_depth(replace(map_, disparity=map_.disparity[:3]))
-
-
 RANGE = (-2.0, 2.0)
+FAST = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
 WRONG = Misalignment(shift=2, roll=0.5, scale=0.01, distortion=0.2, gain=0.1, vignetting=0.1)
 
 
@@ -270,9 +245,8 @@ def test_frames_are_rectified_as_rectify_does_it() -> None:
     assert want.refinement.kept
     found = rectifier().rectified(raw(), Device(load("warp"), "cpu"))
     seen = np.ones(found.views.shape[:3], bool) if found.valid is None else found.valid
-    inner = seen & (
-        np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, 6:, 6:] & np.pad(seen, ((0, 0), (3, 3), (3, 3)))[:, :-6, :-6]
-    )
+    around = np.pad(seen, ((0, 0), (3, 3), (3, 3)))
+    inner = seen & around[:, 6:, 6:] & around[:, :-6, :-6]
     off = (found.views.astype(float) - want.light_field.views)[inner] / 255
     before = (raw().views.astype(float) - want.light_field.views)[inner] / 255
     assert np.sqrt((before**2).mean()) > 0.05
@@ -307,17 +281,13 @@ def test_what_rectify_wrote_is_a_rectifier(calibrated: bool, tmp_path: Path) -> 
     assert found.reference == want.reference
 
 
-@pytest.mark.parametrize("backend", ["warp", "taichi", "reference"])
+@pytest.mark.parametrize("backend", ["warp", pytest.param("taichi", marks=pytest.mark.thorough), "reference"])
 def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
     kernels = load(backend)
-    small = replace(
-        rectifier(),
-        places=rectifier().places[:, :40, :44],
-        squared_radius=rectifier().squared_radius[:, :40, :44],
-        valid=None if rectifier().valid is None else rectifier().valid[:, :40, :44],
-    )
+    parts = {name: getattr(rectifier(), name)[:, :40, :44] for name in ("places", "squared_radius", "valid")}
+    small = replace(rectifier(), **parts)
     first, second = raw().views[:, :40, :44], other_frame()[:, :40, :44]
-    options = {"config": "fast", "disparity_range": RANGE, "backend": backend, "device": "cpu"}
+    options = {**FAST, "backend": backend}
     pipeline = lfgpu.DepthPipeline(small.pictures(first), rectifier=small, **options)
     for frame in (first, second):
         pipeline.upload(frame)
@@ -335,8 +305,7 @@ def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
 
 
 def test_a_stream_takes_raw_pictures_and_other_tones() -> None:
-    options = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
-    with lfgpu.DepthStream(raw(), rectifier=rectifier(), policy="block", prior=None, **options) as stream:
+    with lfgpu.DepthStream(raw(), rectifier=rectifier(), policy="block", prior=None, **FAST) as stream:
         found = [stream.push(frame).numpy() for frame in (raw().views, other_frame())]
         stream.set_tones(rectifier().tones * np.array([2.0, 1.0, 2.0])[:, None])
         darker = stream.push(raw().views).numpy()
@@ -359,21 +328,29 @@ def test_wrong_pictures_and_rectifiers_are_refused(tmp_path: Path) -> None:
         read_rectifier(tmp_path)
     with pytest.raises(LightFieldError, match="tones of the rectifier"):
         replace(rectifier(), tones=rectifier().tones[:4])
-    options = {"config": "fast", "disparity_range": RANGE, "device": "cpu"}
+    map_ = DisparityMap(np.zeros((96, 112), np.float32))
+    with pytest.raises(LightFieldError, match="was not rectified"):
+        replace(rectified(), rig=None).original_depth(map_)
+    with pytest.raises(LightFieldError, match="the map must be of"):
+        rectified().original_depth(replace(map_, disparity=map_.disparity[:3]))
     with (
-        lfgpu.DepthStream(rectified().light_field, **options) as stream,
+        lfgpu.DepthStream(rectified().light_field, **FAST) as stream,
         pytest.raises(LightFieldError, match="no rectifier"),
     ):
         stream.set_tones(rectifier().tones)
 
 
+def write_frames(folder: Path, *counts: int) -> None:
+    """A folder for each frame, with so many pictures of cameras."""
+    for frame, count in enumerate(counts):
+        (folder / f"frame_{frame}").mkdir(parents=True)
+        for n, view in enumerate(raw().views[:count]):
+            Image.fromarray(view).save(folder / f"frame_{frame}" / f"camera_{n}.png")
+
+
 def test_sources_of_raw_pictures(tmp_path: Path) -> None:
     """Folders of pictures, one of each camera, and frames that were kept, in which a camera may be missing."""
-    for frame, count in enumerate((9, 9, 8)):
-        folder = tmp_path / "frames" / f"frame_{frame}"
-        folder.mkdir(parents=True)
-        for n, view in enumerate(raw().views[:count]):
-            Image.fromarray(view).save(folder / f"camera_{n}.png")
+    write_frames(tmp_path / "frames", 9, 9, 8)
     opened = open_source(str(tmp_path / "frames"), Options(rectifier=rectifier()))
     np.testing.assert_array_equal(opened.first.positions, rectifier().positions)
     np.testing.assert_array_equal(opened.first.views, raw().views)
@@ -392,7 +369,7 @@ def test_sources_of_raw_pictures(tmp_path: Path) -> None:
 
 def test_tones_of_a_closed_stream() -> None:
     """A watch may still look when a stream ends and its memory is returned."""
-    stream = lfgpu.DepthStream(raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu")
+    stream = lfgpu.DepthStream(raw(), rectifier=rectifier(), **FAST)
     stream.close()
     tones = 1.25 * rectifier().tones
     stream.set_tones(tones)
@@ -401,11 +378,7 @@ def test_tones_of_a_closed_stream() -> None:
 
 def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_rectified(rectified(), tmp_path / "rig")
-    for frame in range(2):
-        folder = tmp_path / "frames" / f"frame_{frame}"
-        folder.mkdir(parents=True)
-        for n, view in enumerate(raw().views):
-            Image.fromarray(view).save(folder / f"camera_{n}.png")
+    write_frames(tmp_path / "frames", 9, 9)
     (tmp_path / "raw_grabber_for_tests.py").write_text(
         "import numpy as np\nfrom PIL import Image\nfrom pathlib import Path\n"
         "def frames():\n"
@@ -414,18 +387,13 @@ def test_live_takes_raw_pictures(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     )
     monkeypatch.chdir(tmp_path)
     options = ["--rectify", "rig", "--preset=fast", "--disparity-range=-2,2", "--device=cpu", "--cold"]
+    with lfgpu.DepthStream(raw(), rectifier=rectifier(), prior=None, **FAST) as stream:
+        want = stream.push(raw().views).numpy()
     for source in ("frames", "raw_grabber_for_tests:frames"):
-        outcome = CliRunner().invoke(app, ["live", source, "-o", "out", *options])
-        assert outcome.exit_code == 0, outcome.output
+        outcome = command("live", source, "-o", "out", *options)
+        assert outcome.code == 0, outcome.err
         found = read_map(tmp_path / "out" / "disparity_000000.pfm")
-        with lfgpu.DepthStream(
-            raw(), rectifier=rectifier(), config="fast", disparity_range=RANGE, device="cpu", prior=None
-        ) as stream:
-            want = stream.push(raw().views).numpy()
         assert np.nanmean(np.abs(found - want)) < 0.01  # the map of the frame, from a rig that was written as pictures
-    outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "frames", "--device=cpu"])
-    assert outcome.exit_code == 1
-    assert "rectified.npz" in outcome.output
-    outcome = CliRunner().invoke(app, ["live", "frames", "--rectify", "rig", "--like", "rig", "--device=cpu"])
-    assert outcome.exit_code == 2
-    assert "--like" in outcome.output
+    refused(command("live", "frames", "--rectify", "frames", "--device=cpu"), "rectified.npz")
+    outcome = command("live", "frames", "--rectify", "rig", "--like", "rig", "--device=cpu")
+    assert (outcome.code, "--like" in outcome.err) == (2, True)

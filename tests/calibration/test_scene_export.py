@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 import trimesh
 from PIL import Image
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.calibration import Camera, camera_info, export_scene, read_calibration, rectify
+from lfgpu.calibration import camera_info, export_scene, read_calibration, rectify, write_cameras
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.cli import app
@@ -142,12 +143,6 @@ def test_depth_pictures_of_a_unit_that_holds_the_scene(times: float, unit: float
     np.testing.assert_allclose(stored[known], one.depth[known], atol=found)
 
 
-def _vector(camera: Camera) -> list[float]:
-    from scipy.spatial.transform import Rotation
-
-    return list(map(float, Rotation.from_matrix(np.asarray(camera.rotation)).as_rotvec()))
-
-
 def test_models_of_google(tmp_path: Path) -> None:
     cameras = rig()
     entries = [
@@ -158,7 +153,7 @@ def test_models_of_google(tmp_path: Path) -> None:
             "focal_length": c.focal_length[0],
             "pixel_aspect_ratio": c.focal_length[1] / c.focal_length[0],
             "principal_point": [x + 0.5 for x in c.principal_point],
-            "orientation": _vector(c),
+            "orientation": Rotation.from_matrix(np.asarray(c.rotation)).as_rotvec().tolist(),
             "position": c.centre.tolist(),
         }
         for n, c in enumerate(cameras)
@@ -177,17 +172,12 @@ def test_models_of_google(tmp_path: Path) -> None:
 
 
 def _oak(to: int, shift: tuple[float, float, float], turn: Any) -> dict[str, Any]:
+    translation = dict(zip("xyz", shift, strict=True))
     return {
-        "cameraType": 0,
-        "width": 640,
-        "height": 400,
+        **{"cameraType": 0, "width": 640, "height": 400},
         "intrinsicMatrix": [[450.0, 0, 320.0], [0, 450.0, 200.0], [0, 0, 1]],
         "distortionCoeff": [0.1, -0.05, 0, 0, 0.01, 0, 0, 0, 0, 0, 0, 0, 0, 0],
-        "extrinsics": {
-            "rotationMatrix": np.asarray(turn).tolist(),
-            "translation": dict(zip("xyz", shift, strict=True)),
-            "toCameraSocket": to,
-        },
+        "extrinsics": {"rotationMatrix": np.asarray(turn).tolist(), "translation": translation, "toCameraSocket": to},
     }
 
 
@@ -206,9 +196,8 @@ def test_depthai(tmp_path: Path) -> None:
     np.testing.assert_allclose(centres[2], [-0.0375, 0, 0.001], atol=1e-9)
     np.testing.assert_allclose(centres[1], turn @ [0.075, 0, 0] + centres[2], atol=1e-9)
     assert found.cameras[0].distortion == (0.1, -0.05, 0, 0, 0.01, 0, 0, 0)
-    np.testing.assert_allclose(
-        read_calibration(tmp_path / "calib.json", unit="cm").cameras[2].centre, centres[2], atol=1e-12
-    )
+    again = read_calibration(tmp_path / "calib.json", unit="cm").cameras[2]
+    np.testing.assert_allclose(again.centre, centres[2], atol=1e-12)
     data[2][1]["extrinsics"]["toCameraSocket"] = 1
     (tmp_path / "calib.json").write_text(json.dumps({"cameraData": data}))
     with pytest.raises(LightFieldError, match="socket 1 lead to no camera"):
@@ -216,7 +205,7 @@ def test_depthai(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("m", "d"), [("M", "D"), ("cameraMatrix", "distCoeffs")])
-def test_stereo_of_opencv(m: str, d: str, tmp_path: Path) -> None:
+def test_stereo_of_opencv_in_each_unit(m: str, d: str, tmp_path: Path) -> None:
     turn = turned([0.0, 0.02, 0.0])
     table = {
         f"{m}1": [[500, 0, 320], [0, 500, 240], [0, 0, 1]],
@@ -230,9 +219,12 @@ def test_stereo_of_opencv(m: str, d: str, tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match="add image_width and image_height"):
         read_calibration(tmp_path / "stereo.json")
     (tmp_path / "stereo.json").write_text(json.dumps({**table, "image_width": 640, "image_height": 480}))
-    left, right = read_calibration(tmp_path / "stereo.json", unit="mm").cameras
+    for unit, metres in (("mm", 0.001), ("cm", 0.01), ("m", 1)):
+        left, right = read_calibration(tmp_path / "stereo.json", unit=unit).cameras
+        np.testing.assert_allclose(right.centre, turn.T @ [60 * metres, 0, 0], atol=1e-9)
     assert (left.size, right.focal_length, right.distortion) == ((480, 640), (510.0, 510.0), ())
-    np.testing.assert_allclose(right.centre, turn.T @ [0.06, 0, 0], atol=1e-12)
+    with pytest.raises(LightFieldError, match="unit must be one of mm, cm, m, not 'inch'"):
+        read_calibration(tmp_path / "stereo.json", unit="inch")
 
 
 def test_transforms_of_nerf_have_an_angle_and_no_size(tmp_path: Path) -> None:
@@ -251,29 +243,12 @@ def test_transforms_of_nerf_have_an_angle_and_no_size(tmp_path: Path) -> None:
         read_calibration(tmp_path / "transforms_train.json")
 
 
-def test_units_of_lengths(tmp_path: Path) -> None:
-    test_stereo_of_opencv("M", "D", tmp_path)
-    metres = read_calibration(tmp_path / "stereo.json", unit="m").cameras[1].centre
-    np.testing.assert_allclose(read_calibration(tmp_path / "stereo.json", unit="cm").cameras[1].centre, metres / 100)
-    with pytest.raises(LightFieldError, match="unit must be one of mm, cm, m, not 'inch'"):
-        read_calibration(tmp_path / "stereo.json", unit="inch")
-
-
 def test_a_calibration_in_millimetres(tmp_path: Path) -> None:
     """Lengths that are no metres are doubted; with their unit, depths come out in metres."""
-    cameras = rig()
-    steps = [camera.centre for camera in cameras]
-    scale = 1000 * 0.05 / float(np.linalg.norm(steps[1] - steps[0]))
-    lines = []
+    cameras = [replace(camera, translation=500 * np.asarray(camera.translation)) for camera in rig()]
     for number, camera in enumerate(cameras):
-        Image.fromarray(np.full((*camera.size, 3), 9 * number, np.uint8)).save(tmp_path / f"{camera.name}.png")
-        lines += [
-            f'[[cameras]]\nname = "{camera.name}.png"\nsize = {list(camera.size)}\n'
-            f"focal_length = {list(camera.focal_length)}\nprincipal_point = {list(camera.principal_point)}\n"
-            f"distortion = {list(camera.distortion)}\nrotation = {np.asarray(camera.rotation).tolist()}\n"
-            f"translation = {(scale * np.asarray(camera.translation)).tolist()}"
-        ]
-    (tmp_path / "cameras.toml").write_text("\n".join(lines))
+        Image.fromarray(np.full((*camera.size, 3), 9 * number, np.uint8)).save(tmp_path / camera.name)
+    write_cameras(cameras, tmp_path / "cameras.toml")
     wrong = rectify(tmp_path)
     assert "probably no metres" in " ".join(wrong.light_field.notes)
     right = rectify(tmp_path, unit="mm")

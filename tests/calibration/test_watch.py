@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from stream_runs import pushing
 
 import lfgpu
 from lfgpu import scenes
@@ -34,32 +35,14 @@ def straight() -> Rectifier:
     return Rectifier(places, np.zeros_like(places[..., 0]), tones, lf.positions, lf.reference_index)
 
 
-class Camera:
-    """Pushes one frame after the other into a stream until it is told to stop."""
-
-    def __init__(self, stream: lfgpu.DepthStream) -> None:
-        self.views = boxes().views.copy()
-        self._stream, self._over = stream, threading.Event()
-        self._thread = threading.Thread(target=self._run)
-
-    def _run(self) -> None:
-        while not self._over.is_set():
-            self._stream.push(self.views).wait()
-
-    def __enter__(self) -> Camera:
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-
 @contextmanager
-def filmed(**options: object) -> Iterator[tuple[lfgpu.DepthStream, Camera]]:
+def filmed(**options: object) -> Iterator[tuple[lfgpu.DepthStream, SimpleNamespace]]:
+    """A stream into which a camera pushes one frame after the other: its `views`, which may change."""
     lf = boxes()
     given = {"config": "fast", "disparity_range": (-2.0, 2.0), "device": "cpu", "prior": None, "policy": "block"}
-    with lfgpu.DepthStream(lf, **{**given, **options}) as stream, Camera(stream) as camera:  # type: ignore[arg-type]
+    camera = SimpleNamespace(views=lf.views.copy())
+    stream = lfgpu.DepthStream(lf, **{**given, **options})  # type: ignore[arg-type]
+    with stream, pushing(lambda: stream.push(camera.views).wait()):
         yield stream, camera
 
 
@@ -67,13 +50,13 @@ def test_gains_follow_and_a_moved_camera_is_said_after_two_looks() -> None:
     said: list[tuple[str, ...]] = []
     rectifier = straight()
     with filmed(rectifier=rectifier) as (stream, camera):
-        watch = RigWatch(stream, every=None, rate=0.5, on_finding=said.append)
+        watch = RigWatch(stream, every=None, rate=0.7, on_finding=said.append)
         assert watch.look(timeout=LONG) == ()
         assert watch.looks == 1
         darker = camera.views.copy()
         darker[1] = np.rint(0.8 * darker[1])
         camera.views = darker
-        for _ in range(8):
+        for _ in range(4):
             assert watch.look(timeout=LONG) == ()
         gain = stream.rectifier.tones[:, 0].mean(axis=1)
         assert gain[1] == pytest.approx(0.8, abs=0.02)
@@ -81,13 +64,13 @@ def test_gains_follow_and_a_moved_camera_is_said_after_two_looks() -> None:
         moved = darker.copy()
         moved[7] = np.roll(moved[7], 2, axis=1)
         camera.views = moved
-        found = [watch.look(timeout=LONG) for _ in range(4)]
+        found = [watch.look(timeout=LONG) for _ in range(3)]
         assert any(found)
         assert "row 2, column 1" in found[-1][0]
         assert "to the right" in found[-1][0]
         assert len(said) == 1
         camera.views = darker
-        assert [watch.look(timeout=LONG) for _ in range(3)][-1] == ()
+        assert [watch.look(timeout=LONG) for _ in range(2)][-1] == ()
 
 
 def test_the_watch_looks_by_itself_and_ends() -> None:

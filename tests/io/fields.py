@@ -14,6 +14,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.io import write_description, write_hci
 from lfgpu.io.png import write_png
 from tests.io import lytro_samples
+from tests.io.samples import grid_of, save_as
 
 SHIFT = 3.0  # of the old HCI format: pixels per view step
 
@@ -24,12 +25,8 @@ def scene(grid: tuple[int, int] = (5, 5), size: tuple[int, int] = (40, 48)) -> L
 
 
 def _named(lf: LightField, folder: Path, pattern: str = "view_{0:02d}_{1:02d}.png") -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
-        row, column = round(v), round(u)
-        middle = [round(side // 2) for side in lf.grid_shape or (0, 0)]
-        Image.fromarray(view).save(folder / pattern.format(row, column, row - middle[0], column - middle[1]))
-    return folder
+    middle = [side // 2 for side in lf.grid_shape or (0, 0)]
+    return save_as(folder, lf, lambda v, u: pattern.format(v, u, v - middle[0], u - middle[1]))
 
 
 def _hci(lf: LightField, place: Path) -> Path:
@@ -55,8 +52,7 @@ def _export(lf: LightField, place: Path) -> Path:
 def _hdf5(lf: LightField, place: Path) -> Path:
     import h5py
 
-    rows, columns = lf.grid_shape or (0, 0)
-    grid = lf.views.reshape(rows, columns, *lf.views.shape[1:])
+    grid, (rows, columns) = grid_of(lf), lf.grid_shape or (0, 0)
     depth = np.ones(grid.shape[:4], np.float32)
     depth[rows // 2, (columns - 1) // 2] = _depth(lf)
     with h5py.File(place / "buddha.h5", "w") as file:
@@ -68,12 +64,10 @@ def _hdf5(lf: LightField, place: Path) -> Path:
 
 
 def _stanford(lf: LightField, place: Path) -> Path:
-    folder = place / "stanford" / "rectified"
-    folder.mkdir(parents=True)
-    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
-        name = f"out_{round(v):02d}_{round(u):02d}_{7.25 * v - 381.909271:.6f}_{7.25 * u + 1103.376221:.6f}_.png"
-        Image.fromarray(view).save(folder / name)
-    return folder.parent
+    def name(v: int, u: int) -> str:
+        return f"out_{v:02d}_{u:02d}_{7.25 * v - 381.909271:.6f}_{7.25 * u + 1103.376221:.6f}_.png"
+
+    return save_as(place / "stanford" / "rectified", lf, name).parent
 
 
 def _plenopticam(lf: LightField, place: Path) -> Path:
@@ -84,31 +78,27 @@ def _plenopticam(lf: LightField, place: Path) -> Path:
     return folder.parent
 
 
-def _grid(lf: LightField) -> Any:
-    return lf.views.reshape(*(lf.grid_shape or ()), *lf.views.shape[1:])
-
-
 def _mat5(lf: LightField, place: Path) -> Path:
     from scipy.io import savemat
 
-    savemat(place / "LF.mat", {"LF": _grid(lf), "GeneratedByInfo": {"mfilename": "x"}}, do_compression=True)
+    savemat(place / "LF.mat", {"LF": grid_of(lf), "GeneratedByInfo": {"mfilename": "x"}}, do_compression=True)
     return place / "LF.mat"
 
 
 def _mat7(lf: LightField, place: Path) -> Path:
     import h5py
 
-    weight = np.full((*_grid(lf).shape[:4], 1), 255, np.uint8)
+    weight = np.full((*grid_of(lf).shape[:4], 1), 255, np.uint8)
     weight[0, 0] = 0  # a corner that the main lens shades
     with h5py.File(place / "LF7.mat", "w", userblock_size=512) as file:
-        file["LF"] = np.concatenate([_grid(lf), weight], axis=4).T
+        file["LF"] = np.concatenate([grid_of(lf), weight], axis=4).T
     with (place / "LF7.mat").open("r+b") as file:
         file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
     return place / "LF7.mat"
 
 
 def _npy(lf: LightField, place: Path) -> Path:
-    np.save(place / "views.npy", _grid(lf))
+    np.save(place / "views.npy", grid_of(lf))
     return place / "views.npy"
 
 
@@ -125,7 +115,7 @@ def _tiff(lf: LightField, place: Path) -> Path:
 
 
 def _mosaic(lf: LightField, place: Path) -> Path:
-    grid = _grid(lf)
+    grid = grid_of(lf)
     rows, columns, height, width, colours = grid.shape
     image = grid.transpose(2, 0, 3, 1, 4).reshape(height * rows, width * columns, colours)
     Image.fromarray(image).save(place / "boxes_eslf.png")
@@ -133,30 +123,28 @@ def _mosaic(lf: LightField, place: Path) -> Path:
 
 
 def _tiles(lf: LightField, place: Path) -> Path:
-    grid = _grid(lf)
+    grid = grid_of(lf)
     image = np.concatenate([np.concatenate(list(row), axis=1) for row in grid], axis=0)
     Image.fromarray(image).save(place / "boxes_tiles.png")
     return place / "boxes_tiles.png"
 
 
-def _video(lf: LightField, place: Path) -> Path:
+def _coded(file: Path, views: Any, **options: Any) -> Path:
+    """Write a video without loss."""
     import imageio_ffmpeg
 
-    height, width = lf.size
-    writer = imageio_ffmpeg.write_frames(
-        str(place / "rail.mkv"),
-        (width, height),
-        codec="ffv1",
-        pix_fmt_in="rgb24",
-        pix_fmt_out="bgr0",
-        macro_block_size=1,
-        ffmpeg_log_level="error",
-    )
+    height, width = views.shape[1:3]
+    options |= {"macro_block_size": 1, "ffmpeg_log_level": "error"}
+    writer = imageio_ffmpeg.write_frames(str(file), (width, height), pix_fmt_in="rgb24", **options)
     writer.send(None)
-    for index in lf.row():
-        writer.send(np.ascontiguousarray(lf.views[index]))
+    for view in views:
+        writer.send(np.ascontiguousarray(view))
     writer.close()
-    return place / "rail.mkv"
+    return file
+
+
+def _video(lf: LightField, place: Path) -> Path:
+    return _coded(place / "rail.mkv", lf.views[lf.row()], codec="ffv1", pix_fmt_out="bgr0")
 
 
 def _row(lf: LightField, place: Path) -> Path:
@@ -168,30 +156,24 @@ def _row(lf: LightField, place: Path) -> Path:
 
 
 def _row_folders(lf: LightField, place: Path) -> Path:
-    for view, (u, v) in zip(lf.views, lf.positions, strict=True):
-        folder = place / "rows" / f"row_{round(v) + 1:02d}"
-        folder.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(view).save(folder / f"{round(u) + 1:03d}.bmp")
-    return place / "rows"
+    return save_as(place / "rows", lf, lambda v, u: f"row_{v + 1:02d}/{u + 1:03d}.bmp")
 
 
 def _signed(lf: LightField, place: Path) -> Path:
     return _named(lf, place / "signed", "image_{2:+d}_{3:+d}.tif")
 
 
+def _described(lf: LightField, views: Path, description: Path) -> Path:
+    """Views in a folder, and what describes them."""
+    from lfgpu.io import read
+
+    write_description(read(_named(lf, views)), description, source={})
+    return description
+
+
 def _toml(lf: LightField, place: Path) -> Path:
-    from lfgpu.io import read
-
-    light_field = read(_named(lf, place / "toml" / "Bilder – 7"))
-    write_description(light_field, place / "toml" / "lightfield.toml", source={})
-    return place / "toml"
-
-
-def _json(lf: LightField, place: Path) -> Path:
-    from lfgpu.io import read
-
-    write_description(read(_named(lf, place / "json")), place / "json" / "array.json", source={})
-    return place / "json" / "array.json"
+    folder = place / "toml"
+    return _described(lf, folder / "Bilder – 7", folder / "lightfield.toml").parent
 
 
 BLENDER_STEP, BLENDER_FOCAL = 0.05, 60.0
@@ -203,10 +185,23 @@ def blender_depth(lf: LightField) -> Any:
     return BLENDER_STEP * BLENDER_FOCAL / np.maximum(lf.truth.disparity.astype(np.float64), 1e-4)
 
 
-def _blender(lf: LightField, place: Path) -> Path:
-    """Write what the add-on writes: cameras before the wall of a room, turned and off the origin."""
+def linear(view: Any) -> dict[str, Any]:
+    """Return the channels of a picture as OpenEXR has them: in linear light."""
+    coded = view.astype(np.float64) / 255
+    light = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
+    return {colour: np.ascontiguousarray(light[..., index]) for index, colour in enumerate("RGB")}
+
+
+def write_exr(path: Path, channels: dict[str, Any]) -> None:
     import OpenEXR
 
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, channels) as file:
+        file.write(str(path))
+
+
+def _blender(lf: LightField, place: Path) -> Path:
+    """Write what the add-on writes: cameras before the wall of a room, turned and off the origin."""
     folder = place / "LFPlane"
     (folder / "exr").mkdir(parents=True)
     height, width = lf.size
@@ -220,12 +215,8 @@ def _blender(lf: LightField, place: Path) -> Path:
         world = np.eye(4)
         world[:3, :3], world[:3, 3] = turn, at
         frames.append({"name": name, "position": at.tolist(), "world_matrix": world.tolist()})
-        coded = view.astype(np.float64) / 255
-        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
-        channels = {c: np.ascontiguousarray(linear[..., i]) for i, c in enumerate("RGB")}
-        channels["Z"] = np.ascontiguousarray(blender_depth(lf), np.float32)
-        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels) as file:
-            file.write(str(folder / "exr" / f"{name}.exr"))
+        depth = np.ascontiguousarray(blender_depth(lf), np.float32)
+        write_exr(folder / "exr" / f"{name}.exr", {**linear(view), "Z": depth})
     about = {
         "camera": {"type": "PERSP", "lens_unit": "MILLIMETERS", "focal_length": 50, "projection_matrix": matrix},
         "lf_type": "PLANE",
@@ -239,26 +230,10 @@ def _blender(lf: LightField, place: Path) -> Path:
 
 def _lytro(lf: LightField, place: Path) -> Path:
     """Views in a video without loss, as the first Lytro's program stores them."""
-    import imageio_ffmpeg
-
-    height, width = lf.size
-    writer = imageio_ffmpeg.write_frames(
-        str(place / "views.h264"),
-        (width, height),
-        codec="libx264rgb",
-        pix_fmt_in="rgb24",
-        pix_fmt_out="rgb24",
-        quality=None,
-        output_params=["-crf", "0"],
-        macro_block_size=1,
-        ffmpeg_log_level="error",
-    )
-    writer.send(None)
-    for view in lf.views:
-        writer.send(np.ascontiguousarray(view))
-    writer.close()
-    video = (place / "views.h264").read_bytes()
-    (place / "views.h264").unlink()
+    how = {"codec": "libx264rgb", "pix_fmt_out": "rgb24", "quality": None, "output_params": ["-crf", "0"]}
+    coded = _coded(place / "views.h264", lf.views, **how)
+    video = coded.read_bytes()
+    coded.unlink()
     content, sections = lytro_samples.video(video, lf.size, [{"coord": xy} for xy in _coordinates(lf)])
     file = place / "IMG_0001-stk.lfp"
     file.write_bytes(lytro_samples.processed([("edofParallax", content)], sections))
@@ -318,5 +293,5 @@ SAMPLES = {
     "row-folders": Sample("row-folders", _row_folders),
     "camera-row": Sample("camera-row", _row, views="row", exact=False),
     "toml": Sample("lightfield-toml", _toml),
-    "json": Sample("lightfield-toml", _json),
+    "json": Sample("lightfield-toml", lambda lf, place: _described(lf, place / "json", place / "json" / "array.json")),
 }

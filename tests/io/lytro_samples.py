@@ -42,15 +42,9 @@ def name(data: bytes) -> str:
     return section(b"C", data)[1]
 
 
-def png(image: NDArray[np.uint8]) -> bytes:
+def coded(image: NDArray[np.uint8], kind: str) -> bytes:
     file = io.BytesIO()
-    Image.fromarray(image).save(file, "PNG")
-    return file.getvalue()
-
-
-def jpeg(image: NDArray[np.uint8]) -> bytes:
-    file = io.BytesIO()
-    Image.fromarray(image).save(file, "JPEG", quality=95)
+    Image.fromarray(image).save(file, kind, quality=95)
     return file.getvalue()
 
 
@@ -62,7 +56,7 @@ def video(data: bytes, size: tuple[int, int], each: Sequence[dict[str, Any]]) ->
 
 def pictures(images: Images, each: Sequence[dict[str, Any]]) -> Part:
     """Pictures without loss, of each of which something is said."""
-    data = [png(image) for image in images]
+    data = [coded(image, "PNG") for image in images]
     height, width = images[0].shape[:2]
     listed = [
         {"representation": "png", "height": height, "width": width, "imageRef": name(one), **about}
@@ -73,7 +67,7 @@ def pictures(images: Images, each: Sequence[dict[str, Any]]) -> Part:
 
 def focal_stack(images: Images) -> Part:
     """JPEG pictures focused at λ = -1, 0, 1, ..."""
-    data = [jpeg(image) for image in images]
+    data = [coded(image, "JPEG") for image in images]
     height, width = images[0].shape[:2]
     listed = [
         {"representation": "jpeg", "height": height, "width": width, "imageRef": name(one), "lambda": float(i - 1)}

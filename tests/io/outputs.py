@@ -33,11 +33,7 @@ def a_result() -> DepthResult:
     """Of any method, with everything in it."""
     disparity = np.linspace(-1, 1, _SIZE[0] * _SIZE[1], dtype=np.float32).reshape(_SIZE)
     disparity[2:4, 3] = np.nan
-    told = {
-        "disparity_range": (-1.0, 1.0),
-        "trace": (1.0, 0.5),
-        "geometry": Geometry(100.0, 0.01, 2.0),
-    }
+    told = {"disparity_range": (-1.0, 1.0), "trace": (1.0, 0.5), "geometry": Geometry(100.0, 0.01, 2.0)}
     return made_result(disparity, status="done.", name="scene", **told)
 
 

@@ -9,7 +9,9 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.scenes import make
 
 HEIGHT, WIDTH = 4, 5
 
@@ -61,6 +63,30 @@ def save_hci(folder: Path, indices: Iterable[int], *, rows: int = 3, columns: in
     return folder
 
 
+def save_as(folder: Path, lf: LightField, name: Callable[[int, int], str]) -> Path:
+    """The views of a light field, by the name that their (row, column) have."""
+    for view, (u, v) in zip(lf.views, lf.positions.astype(int).tolist(), strict=True):
+        save(folder / name(v, u), view)
+    return folder
+
+
+def planes(grid: tuple[int, int] = (3, 4)) -> LightField:
+    """Views whose parallax shows how the cameras stand."""
+    return make("planes", grid=grid, size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+
+
+def grid_of(lf: LightField) -> NDArray[Any]:
+    """[v, u, y, x, c]."""
+    assert lf.grid_shape is not None
+    return lf.views.reshape(*lf.grid_shape, *lf.views.shape[1:])
+
+
+def stored_as(order: str, views: NDArray[Any]) -> NDArray[Any]:
+    """[v, u, y, x, c], or views one after the other [n, y, x, c], with the axes in an order such as "yxvuc"."""
+    axes = "vuyxc" if views.ndim == 5 else "nyxc"
+    return views.transpose([axes.index(axis) for axis in order])
+
+
 def box(rows: int, columns: int, first: int = 0) -> list[tuple[int, int]]:
     return [(row + first, column + first) for row in range(rows) for column in range(columns)]
 
@@ -74,10 +100,10 @@ def star(n: int) -> set[tuple[int, int]]:
 
 
 def changed(about: dict[str, Any], **values: Any) -> dict[str, Any]:
-    """Nested dictionaries with other values, `a__b` for the one at ["a"]["b"]; None takes one out."""
+    """Nested dictionaries and lists with other values, `a__0__b` for the one at ["a"][0]["b"]; None takes one out."""
     for name, value in values.items():
-        *parents, last = name.split("__")
-        place = about
+        *parents, last = (int(key) if key.isdigit() else key for key in name.split("__"))
+        place: Any = about
         for parent in parents:
             place = place[parent]
         if value is None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from fields import BLENDER_FOCAL, BLENDER_STEP, SAMPLES, blender_depth
+from fields import BLENDER_FOCAL, BLENDER_STEP, SAMPLES, blender_depth, write_exr
 from PIL import Image
 from samples import changed, refusal
 
@@ -107,8 +107,7 @@ def test_layers_depth_without_an_end_and_half_floats(folder: Path, true: LightFi
         depth[:3], depth[3] = 1e10, -1
         channels = {f"ViewLayer.Combined.{c}": stored[c].astype(np.float16) for c in "RGB"}
         channels |= {"ViewLayer.Depth.Z": depth, "ViewLayer.Normal.Z": np.ones_like(depth)}
-        with OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, channels) as image:
-            image.write(str(file))
+        write_exr(file, channels)
     found = read(folder)
     truth = found.reference_truth()
     assert (truth.disparity[:3] == 0).all()
@@ -152,10 +151,8 @@ def test_what_is_refused(folder: Path, tmp_path: Path, capfd: pytest.CaptureFixt
     says("of the type 'PANO'", camera__type="PANO")
     says("says 50 x 40 px, but the images are 48 x 40", resolution=[50, 40])
     says("world_matrix must be 4 x 4 numbers", frames=[{**listed[0], "world_matrix": [1, 2]}, *listed[1:]])
-    says(
-        "the axes of the camera 'view_0000f' are no axes",
-        frames=[{**listed[0], "world_matrix": np.ones((4, 4)).tolist()}, *listed[1:]],
-    )
+    skew = np.ones((4, 4)).tolist()
+    says("axes of the camera 'view_0000f' are no axes", frames=[{**listed[0], "world_matrix": skew}, *listed[1:]])
     says("nothing for camera", camera=None)
     says("a JSON str for frames", frames="none")
     data = bytearray((folder / "exr" / "view_0002f.exr").read_bytes())

@@ -135,6 +135,7 @@ def test_truth_comes_back_and_views_move_as_it_says(name: str, written: dict[str
     np.testing.assert_allclose(found.geometry.disparity(inside), truth.disparity, atol=1e-4)
 
 
+@pytest.mark.usefixtures("_no_look")
 @pytest.mark.parametrize("name", SAMPLES)
 def test_info_of_each_and_descriptions_that_read_back(
     name: str, written: dict[str, Path], lf_of: Callable[[str], LightField], tmp_path: Path

@@ -1,27 +1,22 @@
 """Raw captures and containers on the command line, in the cache of the user, and two of a first-generation Lytro."""
 
-import re
 import zipfile
 from pathlib import Path
 
 import lytro_samples
 import numpy as np
 import pytest
-import trimesh
+from command_line import lfgpu, refused
+from conftest import real_data
 from fields import SAMPLES, scene
 from lenslet_samples import Camera, capture, eight_bit
 from PIL import Image
-from samples import refusal
 from scipy import ndimage
 from scipy.io import loadmat
-from typer.testing import CliRunner, Result
 
 from lfgpu.batch.items import find_items
-from lfgpu.cli import app
-from lfgpu.data.geometry import Geometry
 from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
-from lfgpu.io import load, read, read_map, save
+from lfgpu.io import read, read_map
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet import entry as module
 from lfgpu.io.lenslet.capture import read_capture
@@ -29,10 +24,6 @@ from lfgpu.io.lenslet.decode import decode
 from lfgpu.io.lenslet.entry import folder, kept
 from lfgpu.io.lenslet.microlenses import find_microlenses
 from lfgpu.scenes import make
-
-
-def lfgpu(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 @pytest.fixture(scope="module")
@@ -45,37 +36,30 @@ def raw(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "raw.png"
 
 
+def said(*arguments: object) -> str:
+    """What a command says that ends well, in one line."""
+    done = lfgpu(*arguments)
+    assert done.code == 0, done.err
+    return " ".join(done.out.split())
+
+
 def test_decode_writes_what_is_read_again(raw: Path, tmp_path: Path) -> None:
-    outcome = lfgpu("decode", raw, "-o", tmp_path / "views", "--white", raw.with_name("white.png"), "--views", 5)
-    assert outcome.exit_code == 0, outcome.stderr
-    said = " ".join(outcome.stdout.split())
+    told = said("decode", raw, "-o", tmp_path / "views", "--white", raw.with_name("white.png"), "--views", 5)
     for words in ("25 of 25 in a 5 x 5 grid", "grey picture, uint8", "bggr", "grid and vignetting from white.png"):
-        assert words in said
+        assert words in told
     assert len(list((tmp_path / "views").iterdir())) == 26
     assert read(tmp_path / "views").views.dtype == np.uint16
 
 
 def test_depth_and_info_take_the_raw_file(raw: Path, tmp_path: Path) -> None:
-    said = " ".join(lfgpu("info", raw).stdout.split())
-    assert "lenslet, because it is a grey picture of microlenses, a hexagonal lattice 9." in said
-    outcome = lfgpu("depth", raw, "-o", tmp_path / "out", "--preset", "fast", "--disparity-range=-1,1")
-    assert outcome.exit_code == 0, outcome.stderr
+    words = "lenslet, because it is a grey picture of microlenses, a hexagonal lattice 9."
+    assert words in said("info", raw)
+    said("depth", raw, "-o", tmp_path / "out", "--preset", "fast", "--disparity-range=-1,1")
     assert read_map(tmp_path / "out" / "disparity.pfm").shape == read(raw).size
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        (["--bayer", "rgbg"], "the Bayer pattern must be one of"),
-        (["--views", "1"], "the number of views must be 2 to 31"),
-        (["--white", "nowhere.png"], "nowhere.png does not exist"),
-    ],
-)
-def test_what_is_refused_leaves_nothing(options: list[str], words: str, raw: Path, tmp_path: Path) -> None:
-    outcome = lfgpu("decode", raw, "-o", tmp_path / "views", *options)
-    assert outcome.exit_code == 1
-    assert re.fullmatch(r"lfgpu: [^\n]*\.\n", outcome.stderr)
-    assert words in outcome.stderr
+def test_what_is_refused_leaves_nothing(raw: Path, tmp_path: Path) -> None:
+    refused(lfgpu("decode", raw, "-o", tmp_path / "views", "--white", "nowhere.png"), "nowhere.png does not exist")
     assert not (tmp_path / "views").exists()
 
 
@@ -132,19 +116,15 @@ def test_there_is_an_end_of_what_is_kept(tmp_path: Path, monkeypatch: pytest.Mon
 
 
 CAPTURES = [pytest.param(name, marks=pytest.mark.data(name)) for name in ("tao2013_IMG_1", "tao2013_IMG_4")]
-CORDS = "tao2013_image_cords.mat"
 
 
 def real_raw(real_folder: Path) -> Path:
     return real_folder / f"{real_folder.name.removeprefix('tao2013_')}.jpg"
 
 
-def their_centres(real_folder: Path) -> np.ndarray:
+def their_centres() -> np.ndarray:
     """(x, y) of lenses [362, 311, 2], in our counting: theirs is (y, x), whole numbers, the first pixel being 1."""
-    cords = real_folder.parent / CORDS
-    if not cords.is_file():
-        pytest.skip(f"{cords} is not there")
-    return loadmat(cords)["image_cords"].astype(np.float64)[..., ::-1] - 1
+    return loadmat(real_data("tao2013_image_cords.mat"))["image_cords"].astype(np.float64)[..., ::-1] - 1
 
 
 @pytest.fixture(params=CAPTURES)
@@ -155,7 +135,7 @@ def real_folder(data_folder: Path) -> Path:
 def test_the_grid_is_theirs(real_folder: Path) -> None:
     grid = find_microlenses(read_capture(real_raw(real_folder)).mosaic, name="it")
     steps = np.stack([grid.along, grid.down], axis=1)
-    from_origin = their_centres(real_folder) - grid.origin
+    from_origin = their_centres() - grid.origin
     number = np.rint(from_origin @ np.linalg.inv(steps).T)
     off = from_origin - number @ steps.T
     assert np.sqrt((off**2).sum(-1).mean()) < 0.55  # 0.41 of it comes from their whole numbers
@@ -172,7 +152,7 @@ def test_the_views_are_theirs(data_folder: Path) -> None:
     along /= np.hypot(*along)
     axes = np.array([along, [-along[1], along[0]]])
     pixel = about["view_pixel"]
-    x, y = np.moveaxis((their_centres(real_folder) - pixel["first_xy"]) @ axes.T / pixel["side_px"], -1, 0)
+    x, y = np.moveaxis((their_centres() - pixel["first_xy"]) @ axes.T / pixel["side_px"], -1, 0)
     height, width = views.size
     inside = (x > 1) & (x < width - 2) & (y > 1) & (y < height - 2)
     assert inside.mean() > 0.95
@@ -222,12 +202,6 @@ def test_the_centres_of_synthetic_spots(data_folder: Path, name: str, square: bo
     assert np.sqrt(((off - off.mean(axis=0)) ** 2).sum(axis=1).mean()) < 0.1
 
 
-def told(*arguments: object, code: int = 0) -> str:
-    done = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert done.exit_code == code, done.stderr
-    return " ".join((done.stdout if code == 0 else done.stderr).split())
-
-
 @pytest.fixture
 def stack(tmp_path: Path) -> Path:
     content, data = lytro_samples.focal_stack(scene((1, 3), (36, 34)).views)
@@ -237,19 +211,19 @@ def stack(tmp_path: Path) -> Path:
 
 
 def test_info_says_what_a_focal_stack_is(stack: Path) -> None:
-    said = told("info", stack)
-    assert "IMG_0007-stk format lytro, because it is a container of Lytro's program" in said
-    assert "contents a focal stack" in said
-    assert "camera Lytro, Inc. F01" in said
-    assert "no depth it holds a focal stack" in said
-    assert "all show the scene from one place" in told("depth", stack, "-o", stack.parent / "out", code=1)
+    told = said("info", stack)
+    assert "IMG_0007-stk format lytro, because it is a container of Lytro's program" in told
+    assert "contents a focal stack" in told
+    assert "camera Lytro, Inc. F01" in told
+    assert "no depth it holds a focal stack" in told
+    refused(lfgpu("depth", stack, "-o", stack.parent / "out"), "all show the scene from one place")
 
 
 def test_decode_is_for_raw_captures(stack: Path, tmp_path: Path) -> None:
-    said = told("decode", stack, "-o", tmp_path / "out", code=1)
-    assert "has no raw picture: it is a Lytro container with a focal stack" in said
+    words = "has no raw picture: it is a Lytro container with a focal stack"
+    refused(lfgpu("decode", stack, "-o", tmp_path / "out"), words)
     file = SAMPLES["lytro-pictures"].write(scene((3, 3), (36, 34)), tmp_path)
-    assert "contents 9 views of 34 x 36 px, a focal stack" in told("info", file)
+    assert "contents 9 views of 34 x 36 px, a focal stack" in said("info", file)
 
 
 def test_batches_take_each_container_that_has_views(stack: Path, tmp_path: Path) -> None:
@@ -264,38 +238,5 @@ def test_depth_of_cameras_of_which_no_two_are_in_line(tmp_path: Path) -> None:
     lf = scene((3, 3), (36, 34))
     places = np.array([[0, 0], [0.5, 1], [1, 0.5]])
     np.savez(tmp_path / "a.npz", views=lf.views[:3], positions=places)
-    told("depth", tmp_path / "a.npz", "-o", tmp_path / "out", "--preset=fast")
+    said("depth", tmp_path / "a.npz", "-o", tmp_path / "out", "--preset=fast")
     assert (tmp_path / "out" / "disparity.pfm").is_file()
-
-
-GEOMETRY = Geometry(focal_length_px=100.0, baseline_m=0.1)
-SLOPE = np.linspace(-1, 1, 40 * 60, dtype=np.float32).reshape(40, 60)
-
-
-@pytest.mark.parametrize("geometry", [None, GEOMETRY])
-def test_exr_names_only_channels_that_it_has(geometry: Geometry | None, tmp_path: Path) -> None:
-    exr = pytest.importorskip("OpenEXR")
-    save(DisparityMap(SLOPE + 2, geometry=geometry), tmp_path / "a.exr")
-    with exr.File(str(tmp_path / "a.exr")) as file:
-        assert ("Z" in file.channels()) == (geometry is not None)
-        assert ('"Z"' in str(file.header()["lfgpu"])) == (geometry is not None)
-
-
-def test_a_cloud_without_geometry_is_no_flat_sheet(tmp_path: Path) -> None:
-    save(DisparityMap(SLOPE), tmp_path / "a.ply")
-    points = trimesh.load(tmp_path / "a.ply", process=False).metadata["_ply_raw"]["vertex"]["data"]
-    z = points["z"]
-    assert 0.2 * 60 < np.ptp(z) < 0.6 * 60
-    np.testing.assert_allclose(z, -8 * points["disparity"])
-    assert b"z is -8 times the disparity" in (tmp_path / "a.ply").read_bytes()
-
-
-def test_a_map_whose_pixels_are_damaged_is_refused(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    pytest.importorskip("OpenEXR")
-    file = tmp_path / "a.exr"
-    save(DisparityMap(SLOPE), file)
-    data = bytearray(file.read_bytes())
-    data[-200:] = bytes(200)
-    file.write_bytes(data)
-    assert "its pixels are damaged" in refusal(lambda: load(file))
-    assert capfd.readouterr() == ("", "")

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
-from samples import refusal, save
+from samples import grid_of, planes, refusal, save, save_as, stored_as
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
@@ -25,12 +25,8 @@ def test_lies_are_noticed_by_the_comparison() -> None:
     scene = meanings.Scene(meanings._made(1, False)[:3, :4])
     v, u = np.mgrid[:3, :4]
     views = scene.views.reshape(-1, *scene.views.shape[2:])
-    for positions, found in (
-        ((u, v), "same"),
-        ((-u, -v), "reversed"),
-        ((u, -v), "cameras at"),
-        ((u, 2 * v), "cameras"),
-    ):
+    told = {"same": (u, v), "reversed": (-u, -v), "cameras at": (u, -v), "cameras": (u, 2 * v)}
+    for found, positions in told.items():
         lf = LightField(views, np.stack(positions, axis=-1).reshape(-1, 2).astype(float))
         assert meanings._judged(lf, scene, masked=False).startswith(found)
     lf = LightField(np.roll(views, 1, axis=2), np.stack((u, v), axis=-1).reshape(-1, 2).astype(float))
@@ -39,13 +35,12 @@ def test_lies_are_noticed_by_the_comparison() -> None:
 
 @pytest.fixture(scope="module")
 def true() -> LightField:
-    return make("planes", grid=(3, 4), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
+    return planes()
 
 
 def named(lf: LightField, folder: Path, name: str) -> Path:
-    for index, (view, (u, v)) in enumerate(zip(lf.views, lf.positions.astype(int).tolist(), strict=True)):
-        save(folder / name.format(u=u, v=v, i=index), view)
-    return folder
+    columns = max(lf.positions[:, 0].astype(int)) + 1
+    return save_as(folder, lf, lambda v, u: name.format(u=u, v=v, i=columns * v + u))
 
 
 def test_a_grid_counted_by_the_second_of_two_numbers_is_asked_about(true: LightField, tmp_path: Path) -> None:
@@ -67,15 +62,9 @@ def test_cameras_of_rows_and_numbers_with_other_words(true: LightField, tmp_path
         assert "it cannot be known what the numbers" in refusal(lambda folder=folder: read(folder))
 
 
-def test_patterns_name_a_place_once(true: LightField, tmp_path: Path) -> None:
-    folder = named(true, tmp_path, "a{u}-b{v}.png")
-    for pattern in ("a{u}-b{u}.png", "a{n}-b{v}.png"):
-        assert "says twice where a camera stood" in refusal(lambda pattern=pattern: read(folder, pattern=pattern))
-
-
 def test_arrays_without_any_order_that_makes_sense_are_asked_about(true: LightField, tmp_path: Path) -> None:
-    grid = true.views.reshape(3, 4, 96, 112, 3)
-    np.save(tmp_path / "a.npy", grid.transpose(0, 3, 2, 1, 4))  # v, x, y, u, c
+    grid = grid_of(true)
+    np.save(tmp_path / "a.npy", stored_as("vxyuc", grid))
     assert "--axes ORDER, one letter of v, u (or n), y, x and c for each axis" in refusal(
         lambda: read(tmp_path / "a.npy")
     )
@@ -88,9 +77,7 @@ def test_arrays_without_any_order_that_makes_sense_are_asked_about(true: LightFi
 
 
 def test_mosaics_of_blocks_of_two_and_mosaics_given_as_tiles(tmp_path: Path) -> None:
-    lf = make("planes", grid=(2, 2), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
-    grid = lf.views.reshape(2, 2, 96, 112, 3)
-    save(tmp_path / "a.png", grid.transpose(2, 0, 3, 1, 4).reshape(192, 224, 3))
+    save(tmp_path / "a.png", stored_as("yvxuc", grid_of(planes((2, 2)))).reshape(192, 224, 3))
     assert read(tmp_path / "a.png", format="mosaic").grid_shape == (2, 2)
     told = refusal(lambda: read(tmp_path / "a.png", format="tiles", grid=(2, 2)))
     assert "--format mosaic" in told
@@ -113,8 +100,7 @@ def test_pictures_that_contradict_their_places(true: LightField, tmp_path: Path)
         noise = np.random.default_rng(time).normal(0, (0.5, 6)[time % 2], true.views[0].shape)
         save(tmp_path / "one" / f"cam{time}.png", np.clip(true.views[0] + noise, 0, 255).astype(np.uint8))
     assert "The views show no parallax, even those that are farthest apart" in read(tmp_path / "one").notes[-1]
-    planes = true.views.reshape(12, 96, 112, 3)[:9].transpose(3, 0, 1, 2).reshape(27, 96, 112)
-    np.save(tmp_path / "planes.npy", planes)  # of colours that are taken for views
+    np.save(tmp_path / "planes.npy", stored_as("cnyx", true.views[:9]).reshape(27, 96, 112))  # taken for views
     far = read(tmp_path / "planes.npy", grid=(1, 27)).notes[-1]
     assert "By their parallax" in far or "from the place of the reference" in far
     still = tmp_path / "still"
@@ -154,7 +140,7 @@ def test_transparency_that_is_no_mask_and_pages_on_their_side(true: LightField, 
 
 
 def test_views_last_are_no_alpha_channel(true: LightField, tmp_path: Path) -> None:
-    grid = true.views.reshape(3, 4, *true.views.shape[1:])
+    grid = grid_of(true)
     for count in (2, 4):
         np.save(tmp_path / "a.npy", grid[:, :count, ..., 1].transpose(0, 2, 3, 1)[:, None])  # [v, c, y, x, u]
         assert "look like views" in refusal(lambda: read(tmp_path / "a.npy", grid=(3, 1)))
@@ -202,24 +188,18 @@ def test_left_and_right_and_distances(true: LightField, tmp_path: Path) -> None:
 
 def test_an_alpha_channel_among_views(true: LightField, tmp_path: Path) -> None:
     mask = np.random.default_rng(0).random((*true.views.shape[:3], 1)) < 0.8
-    planes = np.concatenate([true.views, 255 * mask.astype(np.uint8)], axis=-1)[:4].transpose(3, 0, 1, 2)
-    np.save(tmp_path / "a.npy", planes)  # [c, n, y, x], taken for a grid
+    views = np.concatenate([true.views, 255 * mask.astype(np.uint8)], axis=-1)[:4]
+    np.save(tmp_path / "a.npy", stored_as("cnyx", views))  # taken for a grid
     assert "does not look like the reference" in read(tmp_path / "a.npy").notes[-1]
 
 
 def test_planes_of_colours_as_pages(true: LightField, tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     for axes in ("ncyx", "cnyx"):
-        planes = true.views.transpose(["nyxc".index(axis) for axis in axes])
-        tifffile.imwrite(tmp_path / "a.tif", planes.reshape(-1, *true.size), photometric="minisblack", metadata=None)
+        pages = stored_as(axes, true.views).reshape(-1, *true.size)
+        tifffile.imwrite(tmp_path / "a.tif", pages, photometric="minisblack", metadata=None)
         assert "if they are colours, say --axes ncyx" in refusal(lambda: read(tmp_path / "a.tif", grid=(3, 4)))
         np.testing.assert_array_equal(read(tmp_path / "a.tif", grid=(3, 4), axes=axes).views, true.views)
-
-
-def test_flags_are_true_or_false(true: LightField, tmp_path: Path) -> None:
-    folder = named(true, tmp_path, "row{v}_col{u}.png")
-    for flag in ("transpose", "allow_missing", "lazy"):
-        assert f"{flag} must be True or False, not 'no'" in refusal(lambda flag=flag: read(folder, **{flag: "no"}))
 
 
 def test_words_that_may_name_cameras_and_calibrations_beside_pictures(true: LightField, tmp_path: Path) -> None:

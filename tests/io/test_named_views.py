@@ -14,42 +14,24 @@ from lfgpu.scenes import make
 
 
 @pytest.mark.parametrize(
-    "pattern",
+    ("places", "shape", "counted"),
     [
-        "view_{0:02d}_{1:02d}.png",
-        "2067_{0:02d}_{1:02d}.png",
-        "{0}_{1}.bmp",
-        "img-{0}-{1}.tif",
-        "r{0}c{1}.PNG",
-        "{0:02d}_{1:02d}.png",
-        "Straße 7 – ({0}, {1}) final.png",
-        "lf_v{0:03d}u{1:03d}.TIFF",
+        (box(2, 3), (2, 3), "rows count from 0, columns from 0"),
+        (box(11, 2, first=1), (11, 2), "rows count from 1, columns from 1"),
+        ([(0, column) for column in range(1, 6)], (1, 5), "rows count from 0, columns from 1"),
+        ([(row, 4) for row in range(3)], (3, 1), "rows count from 0, columns from 4"),
     ],
+    ids=["from 0", "from 1", "a row of a larger grid", "a column of a larger grid"],
 )
-def test_common_names(tmp_path: Path, pattern: str) -> None:
-    light_field = read(save_named(tmp_path, box(2, 3), pattern))
-    assert light_field.grid_shape == (2, 3)
-    for row, column in box(2, 3):
-        np.testing.assert_array_equal(light_field.view(row, column), picture(100 * row + column))
-    assert light_field.name == tmp_path.name
-    assert light_field.notes == ()
-    assert light_field.reading.places.endswith("; rows count from 0, columns from 0")
-
-
-def test_numbers_may_start_at_1_and_need_no_leading_zeros(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path, box(11, 2, first=1), "{0}_{1}.png"))
-    assert light_field.grid_shape == (11, 2)
-    np.testing.assert_array_equal(light_field.view(10, 1), picture(1102))
-    assert light_field.reading.places.endswith("; rows count from 1, columns from 1")
-
-
-def test_one_row_of_a_larger_grid_is_a_row(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path / "row", [(0, column) for column in range(1, 6)]))
-    assert light_field.grid_shape == (1, 5)
-    assert light_field.reading.places.endswith("; rows count from 0, columns from 1")
-    light_field = read(save_named(tmp_path / "column", [(row, 4) for row in range(3)]))
-    assert light_field.grid_shape == (3, 1)
-    assert light_field.reading.places.endswith("; rows count from 0, columns from 4")
+def test_numbers_may_start_anywhere_and_need_no_leading_zeros(
+    places: list[tuple[int, int]], shape: tuple[int, int], counted: str, tmp_path: Path
+) -> None:
+    light_field = read(save_named(tmp_path, places, "{0}_{1}.png"))
+    assert light_field.grid_shape == shape
+    row, column = places[-1]
+    np.testing.assert_array_equal(light_field.view(shape[0] - 1, shape[1] - 1), picture(100 * row + column))
+    assert light_field.reading.places.endswith(f"; {counted}")
+    assert (light_field.name, light_field.notes) == (tmp_path.name, ())
 
 
 def test_a_lost_first_row_is_noticed(tmp_path: Path) -> None:
@@ -134,51 +116,32 @@ def test_lost_views_are_named(tmp_path: Path) -> None:
     assert "14 of 16 views of the 4 x 4 grid are there." in light_field.notes
 
 
-def test_without_the_centre_view_the_nearest_is_the_reference(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path, set(box(3, 3)) - {(1, 1)}), allow_missing=True)
-    row, column = light_field.positions[light_field.reference_index][::-1].astype(int)
-    assert abs(row - 1) + abs(column - 1) == 1
-    assert light_field.notes[-1] == (
-        f"The centre view (row 1, column 1) is missing; the reference is the view at row {row}, column {column}."
-    )
+RING, CORNERS = set(box(3, 3)) - {(1, 1)}, {(0, 0), (0, 6), (6, 0), (6, 6)}
+
+
+@pytest.mark.parametrize("places", [RING, CORNERS], ids=["ring", "corners"])
+def test_without_the_centre_view_the_nearest_is_the_reference(tmp_path: Path, places: set[tuple[int, int]]) -> None:
+    """Corners alone are meant, as a pattern is."""
+    light_field = read(save_named(tmp_path, places), allow_missing=places == RING)
+    row, column = (int(place) for place in light_field.positions[light_field.reference_index][::-1])
+    middle = 1 if places == RING else 3
+    assert light_field.grid_shape == (2 * middle + 1, 2 * middle + 1)
+    assert abs(row - middle) + abs(column - middle) == min(abs(v - middle) + abs(u - middle) for v, u in places)
+    note = f"The centre view (row {middle}, column {middle}) is missing"
+    assert light_field.notes[-1] == f"{note}; the reference is the view at row {row}, column {column}."
 
 
 # --- signs, sizes, folders of several ---
 
 
 def test_numbers_with_signs_count_from_their_lowest_one(tmp_path: Path) -> None:
-    places = [(row, column) for row in range(-2, 3) for column in range(-4, 5)]
+    """The view at zero is the reference, also of lopsided numbers."""
+    places = [(row, column) for row in range(-1, 2) for column in range(-1, 4)]
     light_field = read(save_named(tmp_path, places, "image_{0:+d}_{1:+d}.tif"))
-    assert (light_field.grid_shape, light_field.missing) == ((5, 9), ())
-    assert light_field.positions[light_field.reference_index].tolist() == [4, 2]
-    assert light_field.files[0].endswith("image_-2_-4.tif")
-    assert light_field.reading.places.endswith("; rows count from -2, columns from -4")
-
-
-def test_the_view_at_zero_is_the_reference_of_lopsided_numbers(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path, [(r, c) for r in (-1, 0, 1) for c in (-1, 0, 1, 2, 3)], "a {0}, {1}.png"))
-    assert light_field.grid_shape == (3, 5)
-    assert light_field.files[light_field.reference_index].endswith("a 0, 0.png")
-
-
-def test_hyphens_are_no_signs(tmp_path: Path) -> None:
-    for number, pattern in enumerate(("view_-{0}_-{1}.png", "view-{0}-{1}.png", "view--{0}-{1}.png")):
-        light_field = read(save_named(tmp_path / str(number), box(2, 3), pattern))
-        assert light_field.grid_shape == (2, 3)
-        assert light_field.files[1].endswith(Path(pattern.format(0, 1)).name)
-
-
-def test_views_of_another_size_are_refused(tmp_path: Path) -> None:
-    save_named(tmp_path, box(3, 3))
-    save(tmp_path / "view_00_02.png", picture(1)[:-1])
-    assert "view_00_02.png is 5 x 3" in refusal(lambda: read(tmp_path))
-
-
-def test_corners_alone(tmp_path: Path) -> None:
-    light_field = read(save_named(tmp_path, [(1, 1), (1, 7), (7, 1), (7, 7)]))
-    assert (light_field.grid_shape, len(light_field.views)) == ((7, 7), 4)
-    assert np.abs(light_field.offsets).max() == 6
-    assert "The centre view (row 3, column 3) is missing" in light_field.notes[-1]
+    assert (light_field.grid_shape, light_field.missing) == ((3, 5), ())
+    assert light_field.positions[light_field.reference_index].tolist() == [1, 1]
+    assert light_field.files[0].endswith("image_-1_-1.tif")
+    assert light_field.reading.places.endswith("; rows count from -1, columns from -1")
 
 
 def test_a_folder_of_raw_captures_is_several_light_fields(tmp_path: Path) -> None:

@@ -48,24 +48,19 @@ def test_the_part_is_that_of_all_views(made: Callable[[Path], Path], tmp_path: P
         assert getattr(part, name) == getattr(expected, name), name
 
 
-def test_a_file_is_opened_only_if_it_is_needed(tmp_path: Path) -> None:
+def test_a_file_is_opened_only_if_it_is_needed_and_noticed_wherever_it_is_missing(tmp_path: Path) -> None:
     save_named(tmp_path, box(5, 5))
     (tmp_path / CORNER).write_bytes(b"no picture")
     assert len(read(tmp_path, needed=cross).views) == 9
     assert CORNER in refusal(lambda: read(tmp_path))
+    (tmp_path / CORNER).unlink()
+    assert "row 0 column 0" in refusal(lambda: read(tmp_path, needed=cross))
+    assert read(tmp_path, needed=cross, allow_missing=True).notes == read(tmp_path, allow_missing=True).notes
     save(tmp_path / CORNER)
     save(tmp_path / IN_ROW, picture()[:3])
     assert IN_ROW in refusal(lambda: read(tmp_path, needed=cross))
     (tmp_path / IN_ROW).write_bytes(b"no picture")
     assert IN_ROW in refusal(lambda: read(tmp_path, needed=cross))
-
-
-def test_a_file_that_is_missing_is_noticed_wherever_it_is(tmp_path: Path) -> None:
-    save_named(tmp_path, box(5, 5))
-    (tmp_path / CORNER).unlink()
-    assert "row 0 column 0" in refusal(lambda: read(tmp_path, needed=cross))
-    part = read(tmp_path, needed=cross, allow_missing=True)
-    assert part.notes == read(tmp_path, allow_missing=True).notes
 
 
 def transparent(folder: Path) -> None:

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import lfgpu
+from fields import linear, write_exr
 from PIL import Image
-from samples import picture, refusal, save
-from typer.testing import CliRunner
+from samples import grid_of, picture, planes, refusal, save, save_as, stored_as
 
 from lfgpu.batch.items import find_items
-from lfgpu.cli import app
 from lfgpu.data.lightfield import LightField
 from lfgpu.io import read
 from lfgpu.io.images import TURNED, read_image
@@ -23,16 +23,7 @@ from lfgpu.scenes import make
 
 @pytest.fixture(scope="module")
 def true() -> LightField:
-    return make("planes", grid=(3, 4), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
-
-
-def written(lf: LightField, folder: Path, name: Callable[[int, int], str]) -> Path:
-    """Views by the name that their (row, column) have."""
-    for view, (u, v) in zip(lf.views, lf.positions.astype(int).tolist(), strict=True):
-        path = folder / name(v, u)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(view).save(path)
-    return folder
+    return planes()
 
 
 WORDS = {
@@ -46,6 +37,15 @@ WORDS = {
     "camel case": lambda v, u: f"camX{u}Y{v}.png",
     "words behind": lambda v, u: f"{v}row_{u}col.png",
     "no words": lambda v, u: f"cam_{v}_{u}.png",
+    "two digits": lambda v, u: f"view_{v:02d}_{u:02d}.png",
+    "a number before": lambda v, u: f"2067_{v:02d}_{u:02d}.png",
+    "numbers only": lambda v, u: f"{v}_{u}.bmp",
+    "letters": lambda v, u: f"r{v}c{u}.PNG",
+    "three digits": lambda v, u: f"lf_v{v:03d}u{u:03d}.TIFF",
+    "other letters": lambda v, u: f"Straße 7 – ({v}, {u}) final.png",
+    "hyphens": lambda v, u: f"img-{v}-{u}.tif",
+    "hyphens that are no signs": lambda v, u: f"view_-{v}_-{u}.png",
+    "two hyphens": lambda v, u: f"view--{v}-{u}.png",
     "by": lambda v, u: f"view_{v}x{u}.png",
     "one word": lambda v, u: f"row{v} - {u}.png",
     "a counter beside": lambda v, u: f"IMG_{1000 + 4 * v + u}_row{v}_col{u}.png",
@@ -59,53 +59,56 @@ WORDS = {
 
 @pytest.mark.parametrize("name", WORDS.values(), ids=WORDS)
 def test_words_are_believed(name: Callable[[int, int], str], true: LightField, tmp_path: Path) -> None:
-    found = read(written(true, tmp_path / "in", name))
+    found = read(save_as(tmp_path / "in", true, name))
     assert found.grid_shape == (3, 4)
     for row, column in np.ndindex(3, 4):
         np.testing.assert_array_equal(found.view(row, column), true.view(row, column))
     assert found.notes == ()
 
 
+def moved(lf: LightField, time: int) -> LightField:
+    """What it shows, some pixels further down at each time."""
+    return replace(lf, views=np.roll(lf.views, 5 * time, axis=2))
+
+
 def test_cameras_and_times(true: LightField, tmp_path: Path) -> None:
     row = true.subset("row")
     for time in range(3):
-        shown = np.roll(row.views, 5 * time, axis=2)
-        for camera in range(4):
-            save(tmp_path / f"cam{camera:02d}_frame{time:04d}.png", shown[camera])
+        save_as(tmp_path, moved(row, time), lambda v, u, time=time: f"cam{u:02d}_frame{time:04d}.png")
     first, last = read(tmp_path), read(tmp_path, frame=2)
     np.testing.assert_array_equal(first.views, row.views)
-    np.testing.assert_array_equal(last.views, np.roll(row.views, 10, axis=2))
+    np.testing.assert_array_equal(last.views, moved(row, 2).views)
     assert first.grid_shape == (1, 4)
     assert "4 cameras and 3 times; this is time 0 (cam00_frame0000.png" in first.notes[0]
     assert "camera (the word cam says so)" in first.reading.places
-    assert "frame must be from 0 to 2" in refusal(lambda: read(tmp_path, frame=3))
-    (tmp_path / "cam03_frame0001.png").rename(tmp_path / "cam03_frame0002b.png")
-    assert "pictures of 3 of its 4 cameras at time 1" in refusal(lambda: read(tmp_path, frame=1))
-    assert len(read(tmp_path, frame=1, allow_missing=True).views) == 3
-    (tmp_path / "cam03_frame0002b.png").rename(tmp_path / "cam03_frame0001.png")
+    assert "frame must be from 0 to 2" in asked(tmp_path, frame=3)
     items, _ = find_items([str(tmp_path)], sequence=True)
     assert [(item.frame, item.sequence) for item in items] == [(time, str(tmp_path)) for time in range(3)]
     assert len(list(frames(str(tmp_path), Options()))) == 3
+    (tmp_path / "cam03_frame0001.png").rename(tmp_path / "cam03_frame0002b.png")
+    assert "pictures of 3 of its 4 cameras at time 1" in asked(tmp_path, frame=1)
+    assert len(read(tmp_path, frame=1, allow_missing=True).views) == 3
 
 
 @pytest.mark.parametrize("name", ["cam{n}/frame{t}.png", "t{t}/camera {n}.png", "frame_{t}/{n}.png"])
 def test_cameras_and_times_in_folders(name: str, true: LightField, tmp_path: Path) -> None:
     row = true.subset("row")
     for time in range(3):
-        for camera in range(4):
-            save(tmp_path / name.format(n=camera, t=time), np.roll(row.views, 5 * time, axis=2)[camera])
-    pattern = {"pattern": "frame_{t}/{n}.png"} if name.startswith("frame_") else {}
-    np.testing.assert_array_equal(read(tmp_path, frame=1, **pattern).views, np.roll(row.views, 5, axis=2))
+        save_as(tmp_path, moved(row, time), lambda v, u, time=time: name.format(n=u, t=time))
+    pattern = {"pattern": name} if name.startswith("frame_") else {}
+    np.testing.assert_array_equal(read(tmp_path, frame=1, **pattern).views, moved(row, 1).views)
 
 
 def test_patterns_say_what_numbers_count(true: LightField, tmp_path: Path) -> None:
-    written(true, tmp_path, lambda v, u: f"a{u}-b{v}-c7.png")
+    save_as(tmp_path, true, lambda v, u: f"a{u}-b{v}-c7.png")
     assert '--pattern "a{?}-b{?}-c7.png"' in refusal(lambda: read(tmp_path))
     found = read(tmp_path, pattern="a{u}-b{v}-*.png")
     np.testing.assert_array_equal(found.view(2, 1), true.view(2, 1))
     assert "no picture whose name is of the pattern" in refusal(lambda: read(tmp_path, pattern="x{u}.png"))
     assert "pattern must name numbers" in refusal(lambda: read(tmp_path, pattern="a{q}.png"))
     assert "pattern must name numbers" in refusal(lambda: read(tmp_path, pattern="*.png"))
+    for pattern in ("a{u}-b{u}-c7.png", "a{n}-b{v}-c7.png"):
+        assert "says twice where a camera stood" in asked(tmp_path, pattern=pattern)
 
 
 @pytest.mark.parametrize(
@@ -133,39 +136,36 @@ def test_dates_and_times_are_no_places(name: str, pattern: str | None, tmp_path:
     np.testing.assert_array_equal(found.views[3], picture(3))
 
 
-def run(*arguments: object) -> str:
-    """The output of a command that ends well."""
-    found = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    assert found.exit_code == 0, found.output
-    return str(found.output)
-
-
 def asked(folder: Path, **options: Any) -> str:
     return refusal(lambda: read(folder, **options))
 
 
-def test_numbered_images_in_a_grid_are_asked_about(true: LightField, tmp_path: Path) -> None:
-    written(true, tmp_path / "rows", lambda v, u: f"img{4 * v + u:02d}.png")
-    text = asked(tmp_path / "rows")
+@pytest.mark.parametrize(
+    ("number", "order"),
+    [
+        (lambda v, u: 4 * v + u, ""),
+        (lambda v, u: 4 * v + (u if v % 2 == 0 else 3 - u), "serpentine"),
+        (lambda v, u: 3 * u + v, "column-major"),
+    ],
+)
+def test_numbered_images_in_a_grid_are_asked_about(
+    number: Callable[[int, int], int], order: str, true: LightField, tmp_path: Path
+) -> None:
+    save_as(tmp_path, true, lambda v, u: f"img{number(v, u):02d}.png")
+    text = asked(tmp_path)
     assert "--grid 1x12, --grid 2x6, --grid 3x4, --grid 4x3, --grid 6x2" in text
-    assert text.endswith("; by the pictures --grid 3x4 fits.")
-    np.testing.assert_array_equal(read(tmp_path / "rows", grid=(3, 4)).views, true.views)
-    written(true, tmp_path / "turning", lambda v, u: f"img{4 * v + (u if v % 2 == 0 else 3 - u):02d}.png")
-    assert "by the pictures --grid 3x4 --order serpentine fits" in asked(tmp_path / "turning")
-    found = read(tmp_path / "turning", grid=(3, 4), order="serpentine")
-    np.testing.assert_array_equal(found.view(1, 0), true.view(1, 0))
-    written(true, tmp_path / "columns", lambda v, u: f"img{3 * u + v:02d}.png")
-    assert "by the pictures --grid 3x4 --order column-major fits" in asked(tmp_path / "columns")
-    found = read(tmp_path / "columns", grid=(3, 4), order="column-major")
-    np.testing.assert_array_equal(found.view(2, 1), true.view(2, 1))
+    assert f"; by the pictures --grid 3x4{f' --order {order}' if order else ''} fits" in text
+    found = read(tmp_path, grid=(3, 4), order=order or None)
+    for row, column in np.ndindex(3, 4):
+        np.testing.assert_array_equal(found.view(row, column), true.view(row, column))
 
 
-def test_a_row_whose_pictures_show_it_is_not_asked_about(true: LightField, tmp_path: Path) -> None:
-    row = make("planes", grid=(1, 6), size=(96, 112), disparity_range=(-1.5, 1.5), seed=2)
-    found = read(written(row, tmp_path / "in", lambda v, u: f"img{u:02d}.png"))
+def test_a_row_whose_pictures_show_it_is_not_asked_about(tmp_path: Path) -> None:
+    row = planes((1, 6))
+    found = read(save_as(tmp_path / "in", row, lambda v, u: f"img{u:02d}.png"))
     assert found.grid_shape == (1, 6)
     assert "by their parallax they stand in one row" in found.reading.places
-    found = read(written(row, tmp_path / "frames", lambda v, u: f"frame_{u:04d}.png"))
+    found = read(save_as(tmp_path / "frames", row, lambda v, u: f"frame_{u:04d}.png"))
     assert found.grid_shape == (1, 6)
 
 
@@ -200,56 +200,63 @@ def test_folders_of_cameras_with_numbered_images_are_asked_about(tmp_path: Path)
 
 def test_folders_of_times_with_grids_are_asked_about(true: LightField, tmp_path: Path) -> None:
     for time in range(2):
-        written(replace(true, views=np.roll(true.views, 5 * time, axis=2)), tmp_path / f"{time:05d}", WORDS["no words"])
+        save_as(tmp_path / f"{time:05d}", moved(true, time), WORDS["no words"])
     pattern = asked(tmp_path).split('such as "')[1].split('"')[0]
     assert pattern == "{t}/cam_{v}_{u}.png"
-    np.testing.assert_array_equal(read(tmp_path, pattern=pattern, frame=1).views, np.roll(true.views, 5, axis=2))
+    np.testing.assert_array_equal(read(tmp_path, pattern=pattern, frame=1).views, moved(true, 1).views)
 
 
 def test_a_view_read_as_another_orientation_or_order_is_noticed(true: LightField, tmp_path: Path) -> None:
-    folder = written(true, tmp_path / "in", lambda v, u: f"row{u}_col{v}.png")
+    folder = save_as(tmp_path / "in", true, lambda v, u: f"row{u}_col{v}.png")
     turned = read(folder)
     assert "rows of cameras are taken for columns: read it with --transpose." in turned.notes[-1]
     right = read(folder, transpose=True)
     assert right.notes == ()
     np.testing.assert_array_equal(right.view(2, 1), true.view(2, 1))
-    both = read(written(true, tmp_path / "both", lambda v, u: f"row{u}_col{2 - v}.png"))
+    both = read(save_as(tmp_path / "both", true, lambda v, u: f"row{u}_col{2 - v}.png"))
     assert "read it with --transpose --flip v" in both.notes[-1]
-    assert "read it without --flip v" in read(written(true, tmp_path / "b", WORDS["u and v"]), flip="v").notes[-1]
+    assert "read it without --flip v" in read(save_as(tmp_path / "b", true, WORDS["u and v"]), flip="v").notes[-1]
 
 
-def test_equal_pictures_are_no_light_field(tmp_path: Path) -> None:
-    view = make("planes", grid=(1, 2), size=(96, 112), seed=2).views[0]
-    for number in range(5):
-        save(tmp_path / f"cam{number}.png", view)
-    assert "All views are the same picture: there is no parallax" in read(tmp_path).notes[-1]
+def run(*arguments: object) -> str:
+    """What a command says that ends well, in one line."""
+    found = lfgpu(*arguments)
+    assert found.code == 0, found.err
+    return " ".join(found.out.split())
 
 
+@pytest.mark.usefixtures("_no_look")
 def test_info_says_what_was_taken_for_what(true: LightField, tmp_path: Path) -> None:
-    folder = written(true, tmp_path / "in", WORDS["u and v"])
-    lines = " ".join(run("info", folder).split())
+    folder = save_as(tmp_path / "in", true, WORDS["u and v"])
+    lines = run("info", folder)
     assert "places the numbers in names such as u0_v0.png are column (the word u says so); row (the word v" in lines
     assert "pictures oriented as they are stored, all pixels are valid" in lines
     assert "lengths none: there is disparity only" in lines
-    written(true, tmp_path / "named", lambda v, u: f"a{u}-b{v}.png")
-    lines = " ".join(run("info", tmp_path / "named", "--pattern", "a{v}-b{u}.png", "--transpose").split())
+    save_as(tmp_path / "named", true, lambda v, u: f"a{u}-b{v}.png")
+    lines = run("info", tmp_path / "named", "--pattern", "a{v}-b{u}.png", "--transpose")
     assert "3 x 4 grid" in lines
     assert "rows and columns swapped, as told" in lines
-    lines = run("info", tmp_path / "named", "--pattern", "a{u}-b{v}.png", "--write", tmp_path / "a.toml")
+    run("info", tmp_path / "named", "--pattern", "a{u}-b{v}.png", "--write", tmp_path / "a.toml")
     assert read(tmp_path / "a.toml").grid_shape == (3, 4)
 
 
+@pytest.mark.usefixtures("_no_look")
 def test_a_description_of_an_array_keeps_what_was_told(true: LightField, tmp_path: Path) -> None:
-    np.save(tmp_path / "a.npy", true.views.reshape(3, 4, 96, 112, 3).transpose(2, 3, 1, 0, 4))
-    assert "--axes yxvuc or yxcvu or yxuvc" in asked(tmp_path / "a.npy")
+    np.save(tmp_path / "a.npy", stored_as("yxuvc", grid_of(true)))
     run("info", tmp_path / "a.npy", "--axes", "yxuvc", "--write", tmp_path / "a.toml")
     np.testing.assert_array_equal(read(tmp_path / "a.toml").views, true.views)
     run("info", tmp_path / "a.npy", "--axes", "yxvuc", "--transpose", "--write", tmp_path / "b.toml")
     np.testing.assert_array_equal(read(tmp_path / "b.toml").view(2, 1), true.view(2, 1))
 
 
+def test_equal_pictures_are_no_light_field(true: LightField, tmp_path: Path) -> None:
+    for number in range(5):
+        save(tmp_path / f"cam{number}.png", true.views[0])
+    assert "All views are the same picture: there is no parallax" in read(tmp_path).notes[-1]
+
+
 def test_rows_in_alternating_directions_are_named(true: LightField, tmp_path: Path) -> None:
-    written(true, tmp_path, lambda v, u: f"row{v}_col{u if v % 2 == 0 else 3 - u}.png")
+    save_as(tmp_path, true, lambda v, u: f"row{v}_col{u if v % 2 == 0 else 3 - u}.png")
     turning = read(tmp_path)
     assert turning.notes[-1].endswith("--order serpentine fits (order= in Python).")
     right = read(tmp_path, order="serpentine")
@@ -262,7 +269,7 @@ def test_pictures_upside_down_are_named(places: list[tuple[int, int]], true: Lig
     views = true.views.copy()
     for row, column in places:
         views[true.index_of(row, column)] = true.view(row, column)[::-1, ::-1]
-    written(replace(true, views=views), tmp_path, lambda v, u: f"view_{v}_{u}.png")
+    save_as(tmp_path, replace(true, views=views), lambda v, u: f"view_{v}_{u}.png")
     note = read(tmp_path).notes[-1]
     assert all(f"row {row}, column {column}" in note for row, column in places)
     assert note.endswith("upside down: turn it by 180 degrees." if len(places) == 1 else "turn them by 180 degrees.")
@@ -299,14 +306,10 @@ def test_white_stored_as_0(kind: str, tmp_path: Path) -> None:
 
 
 def test_folders_of_openexr(true: LightField, tmp_path: Path) -> None:
-    exr = pytest.importorskip("OpenEXR")
+    pytest.importorskip("OpenEXR")
+    alpha = np.pad(np.ones((96, 100), np.float32), ((0, 0), (0, 12)))
     for view, (u, v) in zip(true.views, true.positions.astype(int).tolist(), strict=True):
-        coded = view.astype(np.float64) / 255
-        linear = np.where(coded <= 0.04045, coded / 12.92, ((coded + 0.055) / 1.055) ** 2.4).astype(np.float32)
-        channels = {c: np.ascontiguousarray(linear[..., i]) for i, c in enumerate("RGB")}
-        channels["A"] = np.pad(np.ones((96, 100), np.float32), ((0, 0), (0, 12)))
-        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, channels) as file:
-            file.write(str(tmp_path / f"view_{v}_{u}.exr"))
+        write_exr(tmp_path / f"view_{v}_{u}.exr", {**linear(view), "A": alpha})
     found = read(tmp_path)
     assert (found.grid_shape, found.views.dtype) == ((3, 4), np.uint16)
     np.testing.assert_allclose(found.views / 65535, true.views / 255, atol=1e-4)
@@ -315,26 +318,21 @@ def test_folders_of_openexr(true: LightField, tmp_path: Path) -> None:
 
 
 def test_arrays_whose_axes_make_no_sense_are_asked_about(true: LightField, tmp_path: Path) -> None:
-    grid = true.views.reshape(3, 4, 96, 112, 3)
-    for order in ("yxvuc", "vucyx", "cvuyx", "yxcvu"):
-        np.save(tmp_path / "a.npy", grid.transpose(["vuyxc".index(axis) for axis in order]))
-        assert f" {order}" in asked(tmp_path / "a.npy")
-        np.testing.assert_array_equal(read(tmp_path / "a.npy", axes=order).views, true.views)
-    flat = grid.reshape(12, 96, 112, 3)[:9]
-    for order in ("ncyx", "yxcn", "yxnc", "cnyx"):
-        np.save(tmp_path / "a.npy", flat.transpose(["nyxc".index(axis) for axis in order]))
-        assert f" {order}" in asked(tmp_path / "a.npy", grid=(3, 3))
-        np.testing.assert_array_equal(read(tmp_path / "a.npy", axes=order, grid=(3, 3)).views, flat)
+    grid, flat = grid_of(true), true.views[:9]
+    for order in ("yxvuc", "vucyx", "cvuyx", "yxcvu", "ncyx", "yxcn", "yxnc", "cnyx"):
+        options = {"grid": (3, 3)} if "n" in order else {}
+        np.save(tmp_path / "a.npy", stored_as(order, flat if options else grid))
+        assert f" {order}" in asked(tmp_path / "a.npy", **options)
+        found = read(tmp_path / "a.npy", axes=order, **options)
+        np.testing.assert_array_equal(found.views, flat if options else true.views)
     assert "axes must be letters such as vuyxc" in asked(tmp_path / "a.npy", axes="vux")
     assert "of which axes nyxc make" in asked(tmp_path / "a.npy", axes="nyxc", grid=(3, 3))
 
 
-def test_arrays_of_views_one_after_the_other(true: LightField, tmp_path: Path) -> None:
-    lf = make("planes", grid=(3, 3), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
-    np.save(tmp_path / "a.npy", lf.views)
+def test_arrays_of_views_one_after_the_other(tmp_path: Path) -> None:
+    np.save(tmp_path / "a.npy", planes((3, 3)).views)
     assert "a square, as their parallax shows" in read(tmp_path / "a.npy").reading.places
-    row = make("planes", grid=(1, 9), size=(96, 112), disparity_range=(-1.5, 1.5), seed=1)
-    np.save(tmp_path / "b.npy", row.views)
+    np.save(tmp_path / "b.npy", planes((1, 9)).views)
     assert "--grid 1x9 fits" in asked(tmp_path / "b.npy")
     assert read(tmp_path / "b.npy", grid=(1, 9)).grid_shape == (1, 9)
 
@@ -343,9 +341,8 @@ def test_arrays_of_views_one_after_the_other(true: LightField, tmp_path: Path) -
 def test_axes_that_a_tiff_names(order: str, kind: str, tmp_path: Path) -> None:
     tifffile = pytest.importorskip("tifffile")
     lf = make("planes", grid=(3, 3), size=(40, 48), seed=1)
-    grid = lf.views.reshape(3, 3, 40, 48, 3) if "T" in order else lf.views
     axes = order.replace("T", "v").replace("Z", "u" if "T" in order else "n").lower()
-    stored = grid.transpose([("vuyxc" if "T" in order else "nyxc").index(axis) for axis in axes])
+    stored = stored_as(axes, grid_of(lf) if "T" in order else lf.views)
     tifffile.imwrite(tmp_path / "a.tif", stored, **{kind: True}, metadata={"axes": order})
     found = read(tmp_path / "a.tif")
     np.testing.assert_array_equal(found.views, lf.views)
@@ -363,7 +360,7 @@ def test_pages_that_were_appended_and_planes(tmp_path: Path) -> None:
 
 
 def test_tiles_given_as_a_mosaic(true: LightField, tmp_path: Path) -> None:
-    sheet = np.concatenate([np.concatenate(list(row), axis=1) for row in true.views.reshape(3, 4, 96, 112, 3)])
+    sheet = np.concatenate([np.concatenate(list(row), axis=1) for row in grid_of(true)])
     save(tmp_path / "a.png", sheet)
     for options in ({}, {"grid": (3, 4)}, {"grid": (8, 8)}):
         assert "--format tiles --grid 3x4" in asked(tmp_path / "a.png", format="mosaic", **options)

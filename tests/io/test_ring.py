@@ -6,7 +6,6 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,31 +33,23 @@ def pictures(value: int, dtype: Any = np.uint8) -> np.ndarray:
     return np.full((3, *SIZE, 3), value, dtype)
 
 
-def test_frames_come_as_they_were_written(path: Path, rng: np.random.Generator) -> None:
-    with RingWriter(path, POSITIONS, SIZE, reference=1) as writer, RingReader(path) as reader:
+@pytest.mark.parametrize(("dtype", "channels"), [(np.uint8, 3), (np.uint8, 1), (np.uint16, 3), (np.float32, 3)])
+def test_frames_come_as_they_were_written(path: Path, dtype: Any, channels: int, rng: np.random.Generator) -> None:
+    kind, most = {"dtype": dtype, "channels": channels}, 1 if dtype is np.float32 else np.iinfo(dtype).max
+    with RingWriter(path, POSITIONS, SIZE, reference=1, **kind) as writer, RingReader(path) as reader:
         np.testing.assert_array_equal(reader.positions, POSITIONS)
         assert reader.reference == 1
         assert reader.read() is None
         for number in range(1, 12):
-            views = rng.integers(0, 256, (3, *SIZE, 3), np.uint8)
+            views = (rng.random((3, *SIZE, channels)) * most).astype(dtype)
             valid = rng.random(3) < 0.5
             assert writer.write(views, valid=valid, time_ns=100 + number) == number
             frame = reader.read()
+            assert frame.views.dtype == dtype
             np.testing.assert_array_equal(frame.views, views)
             np.testing.assert_array_equal(frame.valid, valid)
             assert (frame.number, frame.time_ns, frame.passed) == (number, 100 + number, 0)
             assert reader.read() is None
-
-
-@pytest.mark.parametrize(("dtype", "channels"), [(np.uint8, 1), (np.uint16, 3), (np.float32, 3)])
-def test_types(path: Path, dtype: Any, channels: int) -> None:
-    views = np.linspace(0, 1, 3 * 6 * 7 * channels).reshape(3, *SIZE, channels)
-    views = (views if dtype is np.float32 else views * np.iinfo(dtype).max).astype(dtype)
-    with RingWriter(path, POSITIONS, SIZE, dtype=dtype, channels=channels) as writer, RingReader(path) as reader:
-        writer.write(views)
-        frame = reader.read()
-        assert frame.views.dtype == dtype
-        np.testing.assert_array_equal(frame.views, views)
 
 
 def test_the_newest_frame_is_read(path: Path) -> None:
@@ -69,28 +60,30 @@ def test_the_newest_frame_is_read(path: Path) -> None:
         assert (frame.number, frame.passed, frame.views.max()) == (10, 9, 9)
 
 
+def overtake(reader: RingReader, writer: RingWriter, times: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let the producer go round the whole ring during the first copies of views: they are torn."""
+    fill, left = reader._fill, times
+
+    def torn(array: np.ndarray, at: int) -> None:
+        nonlocal left
+        fill(array, at)
+        if array.ndim == 4 and left > 0:
+            left -= 1
+            first = array[:1].copy()
+            for value in (2, 3, 4):
+                writer.write(pictures(value))
+            fill(array, at)
+            array[:1] = first
+
+    monkeypatch.setattr(reader, "_fill", torn)
+
+
 def test_a_frame_that_is_written_over_while_it_is_copied_is_not_taken(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The producer goes round the whole ring during the first copy."""
     with RingWriter(path, POSITIONS, SIZE, slots=3) as writer, RingReader(path) as reader:
         writer.write(pictures(1))
-
-        fill, copies = reader._fill, 0
-
-        def torn(array: np.ndarray, at: int) -> None:
-            nonlocal copies
-            fill(array, at)
-            if array.ndim == 4:
-                copies += 1
-                if copies == 1:
-                    first = array[:1].copy()
-                    for value in (2, 3, 4):
-                        writer.write(pictures(value))
-                    fill(array, at)
-                    array[:1] = first
-
-        monkeypatch.setattr(reader, "_fill", torn)
+        overtake(reader, writer, 1, monkeypatch)
         frame = reader.read()
         assert (frame.number, reader.repeated) == (4, 1)
         assert set(np.unique(frame.views)) == {4}
@@ -113,15 +106,7 @@ def test_a_producer_that_overtakes_its_reader_each_time_keeps_it_from_nothing_el
 ) -> None:
     with RingWriter(path, POSITIONS, SIZE, slots=3) as writer, RingReader(path) as reader:
         writer.write(pictures(1))
-        fill = reader._fill
-
-        def overtaken(array: np.ndarray, at: int) -> None:
-            fill(array, at)
-            if array.ndim == 4:
-                for value in (2, 3, 4):
-                    writer.write(pictures(value))
-
-        monkeypatch.setattr(reader, "_fill", overtaken)
+        overtake(reader, writer, 1000, monkeypatch)
         assert reader.read() is None
         monkeypatch.undo()
         assert reader.read() is not None
@@ -164,11 +149,8 @@ def test_readers_notice_that_the_producer_was_killed(path: Path) -> None:
     with RingWriter(path, POSITIONS, SIZE) as again, RingReader(path) as reader:  # what is left does not hinder
         again.write(pictures(3))
         assert reader.wait() is not None
-
-
-def test_one_producer_at_a_time(path: Path) -> None:
-    with RingWriter(path, POSITIONS, SIZE), pytest.raises(lfgpu.LightFieldError, match="has a producer already"):
-        RingWriter(path, POSITIONS, SIZE)
+        with pytest.raises(lfgpu.LightFieldError, match="has a producer already"):
+            RingWriter(path, POSITIONS, SIZE)
 
 
 @pytest.mark.parametrize(
@@ -199,28 +181,28 @@ def test_frames_that_do_not_fit(path: Path) -> None:
             writer.publish(valid=[True])
 
 
-def broken() -> Iterator[tuple[str, bytes, str]]:
+def ring_file(place: int = 0, value: Any = rings.MAGIC, size: int = 5 * 4096) -> bytes:
+    """A ring by hand, one of whose numbers is another one."""
     fields = [rings.MAGIC, 1, 4096, 4096, 4, 3, *SIZE, 3, 1, 1, 0, 0]
-    places = np.array(POSITIONS, "<f8").tobytes()
-
-    def file(place: int = 0, value: Any = rings.MAGIC, size: int = 5 * 4096) -> bytes:
-        changed = [*fields]
-        changed[place] = value
-        return (struct.pack("<8sIIQIIIIIIIIQ", *changed) + places).ljust(size, b"\0")
-
-    yield "empty", b"", "is no ring buffer"
-    yield "picture", b"\x89PNG" + bytes(100), "is no ring buffer"
-    yield "version", file(1, 2), "of version 2"
-    yield "short", file(size=2 * 4096), "does not fit"
-    yield "many views", file(5, 2**32 - 1), "does not fit"
-    yield "many slots", file(4, 2**32 - 1), "does not fit"
-    yield "slot", file(3, 64), "does not fit"
-    yield "type", file(9, 7), "does not fit"
-    yield "reference", file(10, 3), "does not fit"
+    fields[place] = value
+    return (struct.pack("<8sIIQIIIIIIIIQ", *fields) + np.array(POSITIONS, "<f8").tobytes()).ljust(size, b"\0")
 
 
-@pytest.mark.parametrize(("name", "content", "sentence"), list(broken()), ids=lambda value: str(value)[:12])
-def test_files_that_are_no_rings(path: Path, name: str, content: bytes, sentence: str) -> None:
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        pytest.param(b"", "is no ring buffer", id="empty"),
+        pytest.param(b"\x89PNG" + bytes(100), "is no ring buffer", id="picture"),
+        pytest.param(ring_file(1, 2), "of version 2", id="version"),
+        pytest.param(ring_file(size=2 * 4096), "does not fit", id="short"),
+        pytest.param(ring_file(5, 2**32 - 1), "does not fit", id="many views"),
+        pytest.param(ring_file(4, 2**32 - 1), "does not fit", id="many slots"),
+        pytest.param(ring_file(3, 64), "does not fit", id="slot"),
+        pytest.param(ring_file(9, 7), "does not fit", id="type"),
+        pytest.param(ring_file(10, 3), "does not fit", id="reference"),
+    ],
+)
+def test_files_that_are_no_rings(path: Path, content: bytes, sentence: str) -> None:
     path.write_bytes(content)
     with pytest.raises(lfgpu.LightFieldError, match=sentence):
         RingReader(path)
@@ -236,13 +218,10 @@ def test_a_ring_that_is_cut_short_while_it_is_read_ends_nothing_but_itself(path:
 
 
 def test_a_pipe_in_place_of_a_ring_is_not_waited_for(path: Path) -> None:
+    with pytest.raises(lfgpu.LightFieldError, match="start the producer first"):
+        RingReader(path)
     os.mkfifo(path)
     with pytest.raises(lfgpu.LightFieldError, match="neither a file nor a folder"):
-        RingReader(path)
-
-
-def test_a_missing_file_is_said_so(path: Path) -> None:
-    with pytest.raises(lfgpu.LightFieldError, match="start the producer first"):
         RingReader(path)
 
 
@@ -253,14 +232,14 @@ def _root() -> str:
     return str(Path(__file__).parents[2])
 
 
-def compiled(folder: Path, *options: str) -> Path:
-    compiler = shutil.which("c++") or shutil.which("g++") or shutil.which("clang++")
+def compiled(source: Path, program: Path, *flags: str) -> Path:
+    names = ("cc", "gcc", "clang") if source.suffix == ".c" else ("c++", "g++", "clang++")
+    compiler = next(filter(None, map(shutil.which, names)), None)
     if compiler is None:
-        pytest.skip("no C++ compiler here")
-    warnings = ["-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-    command = [compiler, "-std=c++17", "-O1", *warnings, f"-I{NATIVE}", str(PRODUCER), "-o", str(folder / "producer")]
-    subprocess.run([*command, *options], check=True, timeout=600)
-    return folder / "producer"
+        pytest.skip(f"no compiler of {source.suffix} here")
+    options = ["-O1", "-Wall", "-Wextra", "-Werror", f"-I{NATIVE}", *flags]
+    subprocess.run([compiler, *options, source, "-o", program], check=True, timeout=600)
+    return program
 
 
 def read_some(path: Path, command: list[Any], count: int) -> None:
@@ -287,7 +266,7 @@ def read_some(path: Path, command: list[Any], count: int) -> None:
 @pytest.mark.thorough
 def test_a_producer_in_cpp(path: Path, tmp_path: Path) -> None:
     """As fast as it can: it is many times round the ring while one frame is read."""
-    producer = compiled(tmp_path)
+    producer = compiled(PRODUCER, tmp_path / "producer", "-std=c++17", "-Wpedantic")
     read_some(path, [producer, path, "3x3", "40x50", str(10**9), "0"], 1000)
 
 
@@ -298,9 +277,6 @@ def test_a_producer_in_python(path: Path) -> None:
 
 @pytest.mark.thorough
 def test_the_header_is_c_as_well(tmp_path: Path) -> None:
-    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
-    if compiler is None:
-        pytest.skip("no C compiler here")
     source = tmp_path / "user.c"
     source.write_text(
         '#define _DEFAULT_SOURCE\n#include "lfgpu_ring.h"\n'
@@ -311,9 +287,7 @@ def test_the_header_is_c_as_well(tmp_path: Path) -> None:
         "    kind.slots = 1;\n"
         f'    return lfgpu_ring_create(&ring, "{tmp_path / "other"}", &kind) == -1 && errno == EINVAL ? 0 : 3;\n}}\n'
     )
-    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", f"-I{NATIVE}"]
-    subprocess.run([compiler, *flags, str(source), "-o", str(tmp_path / "user")], check=True, timeout=600)
-    assert subprocess.run([tmp_path / "user"], timeout=600).returncode == 0
+    assert subprocess.run([compiled(source, tmp_path / "user", "-std=c99")], timeout=600).returncode == 0
     with RingReader(tmp_path / "rig") as reader:
         assert reader._kind.shape == (2, 4, 5, 1)
         assert reader._kind.dtype == np.uint16

@@ -3,6 +3,7 @@
 import base64
 import io
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,15 @@ class Page:
         self.tab.on("request", lambda request: self.asked.append(request.url))
         self.tab.goto(viewer.url)
         self.tab.set_default_timeout(60_000)
+
+    def __enter__(self) -> "Page":
+        return self
+
+    def __exit__(self, kind: object, *_: object) -> None:
+        if kind is None:
+            self.close()
+        else:
+            self.tab.context.close()
 
     def close(self) -> None:
         assert not self.errors
@@ -84,6 +94,35 @@ class Page:
     def click(self, name: str, x: float, y: float) -> None:
         self.tab.mouse.click(*self.spot(name, x, y))
 
+    def enlarge(self, name: str, x: float, y: float, turns: int, by: int = 200) -> None:
+        """Turn the wheel over a pixel of the picture."""
+        self.tab.mouse.move(*self.spot(name, x, y))
+        for _ in range(turns):
+            self.tab.mouse.wheel(0, -by)
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press, move and release the button of the mouse, at places in the window."""
+        self.tab.mouse.move(*start)
+        self.tab.mouse.down()
+        self.tab.mouse.move(*end, steps=4)
+        self.tab.mouse.up()
+
+    def saved(self, button: Any, folder: Path, wait: float = 60_000) -> Path:
+        """Press what saves something, and return the file."""
+        with self.tab.expect_download(timeout=wait) as download:
+            self.tab.locator(button).click() if isinstance(button, str) else button.click()
+        path = folder / download.value.suggested_filename
+        download.value.save_as(path)
+        return path
+
+    def space(self) -> np.ndarray:
+        """The points as they are seen, [y, x, 3]."""
+        with Image.open(io.BytesIO(self.tab.locator("#space-frame").screenshot(timeout=90_000))) as image:
+            return np.asarray(image.convert("RGB")).astype(int)
+
+    def has_points(self) -> None:
+        until(lambda: not self.tab.locator("#space-note").is_visible(), "the points are on the page", self.tab)
+
     def choose(self, name: str, value: str) -> None:
         self.tab.select_option(f"#{name}", value)
 
@@ -101,7 +140,11 @@ class Page:
         until(lambda: condition(self.place(name)), f"{what}; {name} is at {self.place(name)}", self.tab)
 
     def readout(self) -> str:
-        return str(self.tab.inner_text("#readout"))
+        """What is said of a pixel, in one line."""
+        return str(self.tab.inner_text("#readout")).replace("\n", " ")
+
+    def reads(self, text: str) -> None:
+        until(lambda: text in self.readout(), f"the readout says {text!r}", self.tab)
 
     def says(self, text: str, where: str = "#messages") -> None:
         until(lambda: text in self.tab.inner_text(where), f"{where} says {text!r}", self.tab)
@@ -117,7 +160,7 @@ class Page:
         self.shown("map", "disparity")
         self.click("map", 24, 2)  # so that the marks are not where tests look
         self.tab.mouse.move(5, 5)
-        until(lambda: "chosen x, y 24, 2" in self.readout().replace("\n", " "), "the pixel is chosen", self.tab)
+        self.reads("chosen x, y 24, 2")
 
 
 def viridis(value: float, limits: tuple[float, float]) -> tuple[int, ...]:
@@ -129,7 +172,7 @@ def marked(page: Page) -> Callable[[], list[str]]:
     """What the page says of the pixel that was chosen; [] while it says something of the one under the pointer."""
 
     def found() -> list[str]:
-        said = page.readout().replace("\n", " ").split("disparity")[0].split()
+        said = page.readout().split("disparity")[0].split()
         return said[-2:] if "chosen" in said else []
 
     return found

@@ -16,7 +16,7 @@ import numpy as np
 from lfgpu import scenes
 from lfgpu.data.result import DisparityMap
 from lfgpu.viewer import Viewer
-from tests.browser import chromium, until
+from tests.browser import chromium
 from tests.viewer.page import Page
 
 SLACK = 48.0
@@ -47,7 +47,7 @@ def use(page: Page, number: int) -> None:
     page.choose("quantity", ("error", "confidence")[number % 2])
     if number % 5 == 0:
         page.tab.keyboard.press("d")
-        until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are there", page.tab)
+        page.has_points()
     page.tab.wait_for_timeout(200)
 
 

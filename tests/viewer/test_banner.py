@@ -1,6 +1,5 @@
 """What the page says of what may be wrong, keys that always work, and a surface in its own colours."""
 
-import io
 import itertools
 from dataclasses import replace
 from pathlib import Path
@@ -8,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 from typer.testing import CliRunner
 
 from lfgpu.cli import app
@@ -24,8 +22,7 @@ from tests.viewer.page import Page
 
 def test_findings_stand_above_everything(browser: Any, lf: LightField, files: Path) -> None:
     doubted = replace(lf, notes=("Dark corners of the lenslets are masked.",))
-    with Viewer(doubted, port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(doubted, port=0) as viewer, Page(browser, viewer) as page:
         page.says("1 finding", "#findings summary")
         assert "Dark corners" in page.tab.inner_text("#findings li")
         result = load(files / "fast")
@@ -41,8 +38,7 @@ def test_findings_stand_above_everything(browser: Any, lf: LightField, files: Pa
         page.choose("result", "ground truth")
         page.says("1 finding", "#findings summary")
         page.tab.mouse.move(*page.spot("map", 20, 20))
-        until(lambda: "of the ground truth" in page.readout().replace("\n", " "), "truth is named", page.tab)
-        page.close()
+        page.reads("of the ground truth")
 
 
 def test_what_iterations_left_and_what_was_read_is_said(lf: LightField, files: Path) -> None:
@@ -71,7 +67,7 @@ def test_keys_work_after_menus_sliders_checkboxes_and_3d(page: Page) -> None:
         page.tab.click(f"#{name}")
         is_next_view()
     page.tab.keyboard.press("d")
-    until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
+    page.has_points()
     page.tab.click("#space-frame iframe", position={"x": 5, "y": 5})
     until(lambda: page.tab.evaluate("document.activeElement.tagName") == "IFRAME", "3D has the keys", page.tab)
     is_next_view()
@@ -91,18 +87,16 @@ def test_the_surface_has_the_colours_of_the_picture(browser: Any, lf: LightField
         if (isSeen) least = Math.min(least, ...opacities);
         requestAnimationFrame(look);
     })();"""
-    with Viewer(one, port=0) as viewer:
-        page = Page(browser, viewer, script=least)
+    with Viewer(one, port=0) as viewer, Page(browser, viewer, script=least) as page:
         page.shown("view", "view")
         page.tab.keyboard.press("d")
         page.says("No map yet: press Estimate.", "#space-note")
         ramp = np.broadcast_to(np.linspace(-1, 1, lf.size[1], dtype=np.float32), lf.size)
         viewer.add(DisparityMap(ramp.copy()))
-        until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
+        page.has_points()
 
         def shares() -> tuple[float, float] | None:
-            with Image.open(io.BytesIO(page.tab.locator("#space-frame").screenshot(timeout=90_000))) as image:
-                seen = np.asarray(image.convert("RGB")).astype(int)
+            seen = page.space()
             drawn = (np.abs(seen - 255).max(axis=2) > 40) & ~((seen[..., 0] > 180) & (seen[..., 1] < 120))
             right = np.abs(seen - (60, 110, 200)).max(axis=2) <= 3
             share = float(drawn.mean())
@@ -113,13 +107,11 @@ def test_the_surface_has_the_colours_of_the_picture(browser: Any, lf: LightField
             share, right = until(shares, f"something is seen of {mesh!r}", page.tab)
             assert right > 0.8, f"from the first picture on; {share:.0%} of the frame is drawn"
         assert [frame.evaluate("least") for frame in page.tab.frames] == [1, 1], "nothing is pale at first"
-        page.close()
 
 
-def test_an_estimate_says_how_far_it_is_at_every_size(browser: Any, viewer: Viewer) -> None:
-    for width, height in ((1366, 650), (1600, 1000)):
-        page = Page(browser, viewer, width=width, height=height)
-        page.shown("map", "disparity")
+def test_an_estimate_says_how_far_it_is_at_every_size(page: Page, viewer: Viewer) -> None:
+    for width, height in ((1600, 1000), (1366, 650)):
+        page.tab.set_viewport_size({"width": width, "height": height})
         viewer.solver.progress = Progress("alignment, iteration 3, 1.5 s", 40, True)
         viewer.tell()
         page.tab.wait_for_selector("#stop", state="visible")
@@ -129,7 +121,7 @@ def test_an_estimate_says_how_far_it_is_at_every_size(browser: Any, viewer: View
         assert "iteration 3" in page.tab.inner_text("#progress-text")
         viewer.solver.progress = Progress()
         viewer.tell()
-        page.close()
+        page.tab.wait_for_selector("#stop", state="hidden")
 
 
 def test_scales_of_a_stream_do_not_jitter(lf: LightField, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -149,11 +141,11 @@ def test_a_resting_pointer_and_the_chosen_pixel_say_the_frame_that_is_shown(brow
         page = Page(browser, viewer)
         page.shown("map", "disparity")
         page.tab.mouse.move(*page.spot("map", 30, 20))
-        until(lambda: "disparity 1.000" in page.readout().replace("\n", " "), "the value is said", page.tab)
+        page.reads("disparity 1.000")
         viewer.update(np.full(lf.size, 2.0), views=lf.views)
-        until(lambda: "disparity 2.000" in page.readout().replace("\n", " "), "the next one is said", page.tab)
+        page.reads("disparity 2.000")
         page.tab.mouse.move(5, 5)
-        until(lambda: "disparity 2.000" in page.readout().replace("\n", " "), "and that of the pixel", page.tab)
+        page.reads("disparity 2.000")
         page.close()
 
 
@@ -161,11 +153,9 @@ def test_cameras_around_zero_are_no_rows_and_columns(browser: Any, lf: LightFiel
     shifted = replace(lf, positions=lf.offsets * 1.01, truth=None, grid_shape=None)
     assert "count from the camera at 0, 0" in repr(shifted)
     assert "count from" not in repr(lf)
-    with Viewer(shifted, port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(shifted, port=0) as viewer, Page(browser, viewer) as page:
         page.shown("view", "view")
         assert page.tab.inner_text("#left-title") == f"View {lf.reference_index}, reference"
-        page.close()
 
 
 def test_without_what_the_viewer_needs_no_address_is_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

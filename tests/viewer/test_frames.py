@@ -1,7 +1,7 @@
 """Streams and films on the page: what is shown belongs to one frame."""
 
+import itertools
 import json
-import threading
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,23 +15,17 @@ from lfgpu.io.live_maps import fingerprint, write_live_map
 from lfgpu.pipelines.sources.recording import recorded
 from lfgpu.viewer import Viewer
 from tests.browser import until
+from tests.stream_runs import pushing
 from tests.viewer.page import SIZE, Page
 
 
 def test_a_stream_is_followed_without_scores_of_another_frame(browser: Any, lf: LightField, files: Path) -> None:
     switched: list[bool] = []
-    with Viewer.of([files / "boxes"], port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer.of([files / "boxes"], port=0) as viewer, Page(browser, viewer) as page:
         page.shown("map", "disparity")
         viewer.offer(pause=switched.append)
-        viewer.update(
-            lf.truth.disparity - 0.2,
-            np.full(lf.size, 0.5),
-            views=lf.views[::-1].copy(),
-            rate=12.5,
-            latency=0.04,
-            dropped=3,
-        )
+        told = {"rate": 12.5, "latency": 0.04, "dropped": 3}
+        viewer.update(lf.truth.disparity - 0.2, np.full(lf.size, 0.5), views=lf.views[::-1].copy(), **told)
         until(lambda: page.tab.input_value("#result") == "live", "the stream is shown", page.tab)
         live = page.key("map")
         page.says("12.5 frames/s · 40 ms latency · 3 dropped", "#stream")
@@ -41,49 +35,31 @@ def test_a_stream_is_followed_without_scores_of_another_frame(browser: Any, lf: 
         assert page.at("view", 4, 30) == tuple(lf.views[::-1][lf.reference_index, 30, 4])
         viewer.update(np.zeros(lf.size))
         page.shown("map", "disparity", before=live)
-        stop = threading.Event()
-
-        def push() -> None:
-            while not stop.wait(0.01):
-                viewer.update(lf.truth.disparity, views=lf.views)  # type: ignore[union-attr]
-
-        pusher = threading.Thread(target=push)
-        pusher.start()
-        try:  # frames that come faster than pictures are left out, but pictures come
+        # Frames that come faster than pictures are left out, but pictures come.
+        with pushing(lambda: viewer.update(lf.truth.disparity, views=lf.views), 0.01):
             for _ in range(3):
-                live = page.key("map")
-                page.shown("map", "disparity", before=live)
-        finally:
-            stop.set()
-            pusher.join()
+                page.shown("map", "disparity", before=page.key("map"))
         page.tab.click("#pause")
         until(lambda: switched == [True], "the stream is paused", page.tab)
         page.says("paused", "#stream")
         viewer.close()
         until(lambda: page.tab.locator("#gone").is_visible(), "the page says that the viewer has gone", page.tab)
-        page.close()
 
 
 def test_all_tiles_are_of_one_frame(browser: Any) -> None:
     """Frames of one colour each, which come faster than tiles: no picture that is drawn has two colours."""
     views = np.zeros((2, 1100, 1500, 1), np.uint8)
-    with Viewer(LightField(views, [[0, 0], [1, 0]], name="film"), port=0) as viewer:
-        page = Page(browser, viewer)
+    lf = LightField(views, [[0, 0], [1, 0]], name="film")
+    with Viewer(lf, port=0) as viewer, Page(browser, viewer) as page:
         page.shown("view", "view")
-        page.tab.mouse.move(*page.spot("view", 700, 550))
-        for _ in range(3):
-            page.tab.mouse.wheel(0, -200)
+        page.enlarge("view", 700, 550, 3)
         page.moved("view", lambda place: place[2] >= 1, "the view is enlarged")
-        stop = threading.Event()
+        shades = itertools.cycle(range(5, 255, 5))
 
         def push() -> None:
-            shade = 0
-            while not stop.wait(0.02):
-                shade = shade % 250 + 5
-                viewer.update(np.full((1100, 1500), shade, np.float32), views=np.full_like(views, shade))
+            shade = next(shades)
+            viewer.update(np.full((1100, 1500), shade, np.float32), views=np.full_like(views, shade))
 
-        pusher = threading.Thread(target=push)
-        pusher.start()
         code = """() => {
             const canvas = document.getElementById("view"), map = document.getElementById("map");
             if (!canvas.dataset.drawn) return null;
@@ -94,7 +70,7 @@ def test_all_tiles_are_of_one_frame(browser: Any) -> None:
             }
             return [canvas.dataset.drawn, found, canvas.width * canvas.height];
         }"""
-        try:
+        with pushing(push, 0.02):
             seen: set[str] = set()
             while len(seen) < 6:
                 answer = page.tab.evaluate(code)
@@ -105,10 +81,6 @@ def test_all_tiles_are_of_one_frame(browser: Any) -> None:
                 seen.add(key)
                 large = [colour for colour, times in found.items() if times > 0.04 * count]
                 assert len(large) == 1, (key, found)  # the marks are small
-        finally:
-            stop.set()
-            pusher.join()
-        page.close()
 
 
 def test_a_film_is_looked_at_frame_by_frame(browser: Any, lf: LightField, tmp_path: Path) -> None:
@@ -120,8 +92,7 @@ def test_a_film_is_looked_at_frame_by_frame(browser: Any, lf: LightField, tmp_pa
     for number in (0, 2):
         write_live_map(tmp_path / "maps", number, np.full(SIZE, number + 1, np.float32), np.ones(SIZE, np.float32))
     (tmp_path / "maps" / "live.json").write_text(json.dumps({"frames": log}))
-    with Viewer.of([tmp_path / "maps", tmp_path / "film"], port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer.of([tmp_path / "maps", tmp_path / "film"], port=0) as viewer, Page(browser, viewer) as page:
         page.shown("map", "disparity")
 
         def shows(number: int) -> None:
@@ -136,15 +107,14 @@ def test_a_film_is_looked_at_frame_by_frame(browser: Any, lf: LightField, tmp_pa
         until(lambda: page.tab.locator("#map-note").is_visible(), "there is no map of this frame", page.tab)
         page.tab.click("#following")
         shows(2)
-        until(lambda: "disparity 3.000" in page.readout().replace("\n", " "), "the map is of this frame", page.tab)
+        page.reads("disparity 3.000")
         page.tab.keyboard.press(",")
         page.tab.keyboard.press(",")
         shows(0)
-        until(lambda: "disparity 1.000" in page.readout().replace("\n", " "), "the map is of this frame", page.tab)
+        page.reads("disparity 1.000")
         page.tab.click("#play")
         shows(2)
         page.tab.click("#play")
-        page.close()
         with pytest.raises(LightFieldError, match="has no frame 3"):
             viewer.turn(3)
         (tmp_path / "film" / "frame_000001" / "views.npz").unlink()

@@ -37,11 +37,15 @@ def status(viewer: Viewer, path: str, *, body: bytes | None = None, **headers: s
         return error.code
 
 
-def first_line(viewer: Viewer, head: str) -> str:
-    """Send a head, and return the first line of the answer."""
+def post(viewer: Viewer, what: str, body: bytes, kind: str = "application/json", **headers: str) -> int:
+    return status(viewer, f"do/{what}", body=body, **{"Content-Type": kind, **headers})
+
+
+def answer_to(viewer: Viewer, *lines: str) -> str:
+    """Send the lines of a head, and return the number of the answer."""
     with socket.create_connection(("127.0.0.1", urlsplit(viewer.url).port), 30) as connection:
-        connection.sendall((head + "\r\n\r\n").encode())
-        return connection.recv(200).decode().partition("\r\n")[0]
+        connection.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
+        return connection.recv(200).decode().split()[1]
 
 
 @pytest.mark.parametrize(
@@ -50,8 +54,9 @@ def first_line(viewer: Viewer, head: str) -> str:
 )
 def test_no_body_is_waited_for_that_will_not_be_used(viewer: Viewer, path: str, length: int, answer: str) -> None:
     found = urlsplit(viewer.url)
-    head = f"POST {path.format(own=found.path)} HTTP/1.1\r\nHost: {found.netloc}\r\nContent-Length: {length}"
-    assert first_line(viewer, head).split()[1] == answer  # the body never comes
+    head = f"POST {path.format(own=found.path)} HTTP/1.1"
+    # The body never comes.
+    assert answer_to(viewer, head, f"Host: {found.netloc}", f"Content-Length: {length}") == answer
 
 
 @pytest.mark.parametrize(
@@ -66,8 +71,8 @@ def test_malformed_heads_are_refused(
     viewer: Viewer, rest: str, host: str | None, more: str, answer: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     found = urlsplit(viewer.url)
-    head = f"GET {found.path}{rest} HTTP/1.1\r\nHost: {host or found.netloc}" + (f"\r\n{more}" if more else "")
-    assert first_line(viewer, head).split()[1] == answer
+    lines = [f"GET {found.path}{rest} HTTP/1.1", f"Host: {host or found.netloc}", *([more] if more else [])]
+    assert answer_to(viewer, *lines) == answer
     assert not [record for record in caplog.records if record.name.startswith("lfgpu") or record.exc_info]
 
 
@@ -81,9 +86,8 @@ def test_connections_that_say_nothing_make_room(caplog: pytest.LogCaptureFixture
             answer = known.getresponse()
             assert (answer.status, answer.read()[:5]) == (200, b"<!doc")
             assert known.sock is not None  # who has shown the token stays, however many come
-            silent += [
-                stack.enter_context(socket.create_connection(("127.0.0.1", port), 30)) for _ in range(2 * _STRANGERS)
-            ]
+            strangers = (socket.create_connection(("127.0.0.1", port), 30) for _ in range(2 * _STRANGERS))
+            silent += map(stack.enter_context, strangers)
         for connection in silent[:-_STRANGERS]:
             assert connection.recv(1) == b""
     assert ["connections without the token are closed" in record.message for record in caplog.records] == [True]
@@ -155,17 +159,14 @@ def test_pages_of_other_sites_are_refused(viewer: Viewer, origin: str | None, an
         f"GET {found.path}tab HTTP/1.1", f"Host: {found.netloc}", f"Origin: {origin or own}", "Upgrade: websocket",
         "Connection: Upgrade", "Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==", "Sec-WebSocket-Version: 13",
     ]  # fmt: skip
-    with socket.create_connection(("127.0.0.1", found.port), 5) as connection:
-        connection.sendall(("\r\n".join(lines) + "\r\n\r\n").encode())
-        assert connection.recv(200).decode().split()[1] == answer
-    post = {"body": b'{"path": ""}', "Content-Type": "application/json", "Origin": origin or own}
-    assert status(viewer, "do/open", **post) == (403 if origin else 400)  # type: ignore[arg-type]
+    assert answer_to(viewer, *lines) == answer
+    assert post(viewer, "open", b'{"path": ""}', Origin=origin or own) == (403 if origin else 400)
 
 
 def test_forms_and_names_of_other_machines_are_refused(viewer: Viewer) -> None:
-    assert status(viewer, "do/stop", body=b"{}", **{"Content-Type": "text/plain"}) == 415
+    assert post(viewer, "stop", b"{}", "text/plain") == 415
     for body in (b"[]", b"[" * 100_000, b'{"name": ' + b"9" * 5000 + b"}"):
-        assert status(viewer, "do/stop", body=body, **{"Content-Type": "application/json"}) == 400
+        assert post(viewer, "stop", body) == 400
     assert status(viewer, "", Host="evil.example") == 403
     assert status(viewer, "") == 200
 
@@ -233,20 +234,17 @@ def test_text_from_files_does_not_become_part_of_the_page(browser: Any, lf: Ligh
     result = estimate_depth(lf, config="fast", disparity_range=(-2, 2))
     save(replace(result, status=_PAYLOAD, device=_PAYLOAD, backend=_PAYLOAD), folder / "result.npz")
     write_hci(lf, tmp_path / "boxes")
-    with Viewer.of([tmp_path / "boxes", folder], port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer.of([tmp_path / "boxes", folder], port=0) as viewer, Page(browser, viewer) as page:
         page.shown("map", "disparity")
         page.says(_PAYLOAD, "#about")
         page.tab.wait_for_timeout(300)  # for what would be run
         assert page.tab.evaluate("window.owned") is None
         assert page.tab.locator("img[src=x]").count() == 0
-        page.close()
 
 
 @pytest.mark.parametrize("wish", [{"range": [0, 10**400]}, {"range": [-1e300, 1]}, {"values": [1]}, {"preset": {}}])
 def test_estimates_that_cannot_be_are_answered_with_a_sentence(viewer: Viewer, wish: dict[str, Any]) -> None:
-    body = json.dumps({"preset": "fast", **wish}).encode()
-    assert status(viewer, "do/estimate", body=body, **{"Content-Type": "application/json"}) == 400
+    assert post(viewer, "estimate", json.dumps({"preset": "fast", **wish}).encode()) == 400
 
 
 def test_pages_open_only_what_was_given(files: Path, lf: LightField, tmp_path: Path) -> None:
@@ -256,8 +254,7 @@ def test_pages_open_only_what_was_given(files: Path, lf: LightField, tmp_path: P
         for path in (tmp_path / "other", files / "fast", files / "boxes" / ".." / "fast", tmp_path / "link", "/"):
             with pytest.raises(LightFieldError, match="--allow-open"):
                 viewer.open_from_page(path)
-            body = json.dumps({"path": str(path)}).encode()
-            assert status(viewer, "do/open", body=body, **{"Content-Type": "application/json"}) == 400
+            assert post(viewer, "open", json.dumps({"path": str(path)}).encode()) == 400
         viewer.open_from_page(files / "boxes")
         viewer.open(files / "fast")  # its owner may
 
@@ -268,25 +265,10 @@ def test_nonsense_from_a_page_leaves_the_others_alone(
     from websockets.sync.client import connect
 
     address = viewer.url.replace("http://", "ws://") + "tab"
-    scenes = [
-        '{"x": 1e999}',
-        '{"low": NaN}',
-        '{"result": "fast", "exposure": 1e6}',
-        '{"low": 1' + "0" * 400 + "}",
-        '{"size": []}',
-        '{"of": 1}',
-        '{"__class__": {}}',
-        "1",
-    ]
-    for data in (
-        b"",
-        b"\xff" * 100,
-        rng.bytes(1000),
-        "text",
-        "[]",
-        "[" * 100_000,
-        *map('{{"scene": {}}}'.format, scenes),
-    ):
+    scenes = ['{"x": 1e999}', '{"low": NaN}', '{"result": "fast", "exposure": 1e6}', '{"low": 1' + "0" * 400 + "}"]
+    scenes += ['{"size": []}', '{"of": 1}', '{"__class__": {}}', "1"]
+    others = [b"", b"\xff" * 100, rng.bytes(1000), "text", "[]", "[" * 100_000]
+    for data in (*others, *map('{{"scene": {}}}'.format, scenes)):
         with connect(address, origin=viewer.url.rsplit("/", 2)[0]) as connection:
             connection.send(data)
             with suppress(Exception):

@@ -1,10 +1,11 @@
-"""The EPI as an instrument, the cost at a pixel, maps beside and minus each other, and parts that move."""
+"""The EPI and the pointer as instruments, costs at a pixel, maps beside and minus each other, and parts that move."""
 
 from typing import Any
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
@@ -26,22 +27,12 @@ def test_costs_are_least_at_the_truth_and_hidden_views_are_told(lf: LightField) 
     shift = tried[zero]
     views = lf.views.astype(float)
     expected = []
+    y, x = np.mgrid[19:22, 29:32]
     for index, (du, dv) in enumerate(lf.offsets):
-        if index == lf.reference_index:
-            continue
-        there = []
-        for y in (19, 20, 21):
-            for x in (29, 30, 31):
-                px, py = x - shift * du, y - shift * dv
-                x0, y0 = int(px), int(py)
-                a, b = px - x0, py - y0
-                square = views[index, y0 : y0 + 2, x0 : x0 + 2]
-                value = (
-                    square[0, 0] * (1 - a) * (1 - b) + square[0, 1] * a * (1 - b)
-                    + square[1, 0] * (1 - a) * b + square[1, 1] * a * b
-                )  # fmt: skip
-                there.append(np.abs(value - views[lf.reference_index, y, x]).mean())
-        expected.append(np.mean(there))
+        if index != lf.reference_index:
+            place = (y - shift * dv, x - shift * du)
+            there = [ndimage.map_coordinates(views[index, ..., c], place, order=1) for c in range(3)]
+            expected.append(np.abs(np.stack(there, axis=-1) - views[lf.reference_index, y, x]).mean())
     assert mean[zero] == pytest.approx(np.mean(expected), rel=1e-6)
     disparity = np.full(SIZE, -1.0, np.float32)
     disparity[10:30, 20:30] = 3.0
@@ -120,14 +111,11 @@ def test_dragging_an_epi_tests_a_disparity(page: Page, viewer: Viewer, lf: Light
     box = page.tab.locator("#epi-row").bounding_box()
     row = box["height"] / len(lf.row())
     x = box["x"] + left + (20.5 - 1.5 * 2) * scale  # of disparity 1.5, in the last view of the row
-    page.tab.mouse.move(box["x"] + left + 20.5 * scale, box["y"] + 4.5 * row)
-    page.tab.mouse.down()
-    page.tab.mouse.move(x, box["y"] + 4.5 * row, steps=5)
-    page.tab.mouse.up()
+    page.drag((box["x"] + left + 20.5 * scale, box["y"] + 4.5 * row), (x, box["y"] + 4.5 * row))
     page.tab.mouse.move(5, 5)
 
     def tested() -> float:
-        said = page.readout().replace("\n", " ").replace("−", "-").partition("tested ")[2].split()
+        said = page.readout().replace("−", "-").partition("tested ")[2].split()
         return float(said[0]) if said else 0.0
 
     until(lambda: tested() == pytest.approx(1.5, abs=0.05), "a disparity is tested", page.tab)
@@ -145,8 +133,7 @@ def test_dragging_an_epi_tests_a_disparity(page: Page, viewer: Viewer, lf: Light
 def test_a_difference_is_a_map_with_its_distribution_and_shares(browser: Any, lf: LightField) -> None:
     truth = lf.truth
     by = np.where(np.arange(SIZE[1]) < 12, 0.5, 0.02).astype(np.float32)
-    with Viewer(lf, DisparityMap(truth.disparity + by), port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(lf, DisparityMap(truth.disparity + by), port=0) as viewer, Page(browser, viewer) as page:
         page.shown("map", "disparity")
         page.choose("other", "ground truth")
         page.tab.click("#compare [data-value=minus]")
@@ -161,7 +148,6 @@ def test_a_difference_is_a_map_with_its_distribution_and_shares(browser: Any, lf
         with urlopen(asked, timeout=10) as answer:
             values = np.frombuffer(answer.read(), np.float32).reshape(SIZE)
         np.testing.assert_allclose(values, np.broadcast_to(by, SIZE), atol=1e-5)
-        page.close()
 
 
 def test_four_maps_stand_beside_each_other_with_one_pointer(browser: Any, lf: LightField) -> None:
@@ -199,10 +185,7 @@ def test_views_and_maps_have_one_scale_and_dividers_move(browser: Any, viewer: V
     assert page.place("view")[2] == pytest.approx(page.place("map")[2], rel=0.02)
     before = page.tab.locator("#right").bounding_box()["width"]
     box = page.tab.locator(".gutter[data-name=left]").bounding_box()
-    page.tab.mouse.move(box["x"] + 2, box["y"] + 200)
-    page.tab.mouse.down()
-    page.tab.mouse.move(box["x"] - 120, box["y"] + 200, steps=3)
-    page.tab.mouse.up()
+    page.drag((box["x"] + 2, box["y"] + 200), (box["x"] - 120, box["y"] + 200))
     assert page.tab.locator("#right").bounding_box()["width"] == pytest.approx(before + 122, abs=6)
     page.tab.dblclick(".gutter[data-name=aside]")
     assert page.tab.locator("#settings").bounding_box()["width"] < 5
@@ -227,14 +210,9 @@ def test_handles_of_the_distribution_set_the_range_and_so_does_what_is_seen(page
     def at(value: float) -> float:
         return float(box["x"] + (value - ends[0]) / (ends[1] - ends[0]) * box["width"])
 
-    page.tab.mouse.move(at(high), box["y"] + 20)
-    page.tab.mouse.down()
-    page.tab.mouse.move(at((low + high) / 2), box["y"] + 20, steps=4)
-    page.tab.mouse.up()
+    page.drag((at(high), box["y"] + 20), (at((low + high) / 2), box["y"] + 20))
     until(lambda: float(page.tab.input_value("#high")) == pytest.approx((low + high) / 2, abs=0.1), "set", page.tab)
-    page.tab.mouse.move(*page.spot("map", 40, 30))
-    for _ in range(5):
-        page.tab.mouse.wheel(0, -300)
+    page.enlarge("map", 40, 30, 5, 300)
     page.moved("map", lambda place: place[2] > 38, "the map is enlarged")
     page.tab.click("#seen")
     part = viewer.contents.entries["fast"].disparity[26:36, 34:46]
@@ -242,3 +220,41 @@ def test_handles_of_the_distribution_set_the_range_and_so_does_what_is_seen(page
     until(lambda: float(page.tab.input_value("#low")) >= least - 0.3, "the range of what is seen", page.tab)
     assert float(page.tab.input_value("#high")) <= float(np.nanmax(part)) + 0.3
     page.tab.click("#auto")
+
+
+def test_pixels_that_are_large_enough_have_their_values_on_them(page: Page, viewer: Viewer) -> None:
+    page.enlarge("map", 40, 30, 6, 300)
+    page.moved("map", lambda place: place[2] > 60, "the map is enlarged")
+    picture = page.shown("map", "disparity")
+    left, top, scale = page.place("map")
+    disparity, limits = viewer.contents.entries["fast"].disparity, viewer.contents.limits("disparity")
+    part = picture[int(top + 30 * scale) : int(top + 31 * scale), int(left + 40 * scale) : int(left + 41 * scale)]
+    assert (part.reshape(-1, 3) > 235).all(axis=1).sum() > 5  # letters, in white
+    assert (part.reshape(-1, 3) < 40).all(axis=1).sum() > 20  # with a dark outline
+    np.testing.assert_allclose(part[3, 3], viridis(disparity[30, 40], limits), atol=1)
+
+
+def test_the_pointer_says_the_stored_colour(page: Page, lf: LightField) -> None:
+    page.tab.mouse.move(*page.spot("view", 33, 7))
+    expected = [float(value) for value in lf.views[lf.reference_index, 7, 33]]
+
+    def colour() -> list[float]:
+        said = page.readout().partition("colour ")[2].split()[:3]
+        return [float(word) for word in said if word.replace(".", "").isdigit()]
+
+    until(lambda: colour() == expected, f"the colour is {expected}; {page.readout()!r}", page.tab)
+
+
+def test_parameters_are_searched_explained_and_checked(page: Page) -> None:
+    page.tab.evaluate("document.getElementById('parameters').open = true")
+    page.choose("preset", "accurate")
+    page.tab.fill("#parameter-search", "iterations")
+    field = page.tab.locator('[data-name="alignment.iterations"]')
+    assert field.is_visible()
+    assert not page.tab.locator('[data-name="sweep.softness"]').is_visible()
+    assert " to " in field.locator("small").inner_text()
+    for text, is_wrong in (("many", True), ("3", False), ("-7", True), ("2.5", True), ("4", False)):
+        field.locator("input").fill(text)
+        assert ("wrong" in str(field.get_attribute("class")).split()) == is_wrong, text
+    page.tab.fill("#parameter-search", "")
+    page.tab.click("#reset")

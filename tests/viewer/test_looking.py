@@ -36,14 +36,14 @@ def test_pointing_says_the_values(page: Page, viewer: Viewer) -> None:
     contents = viewer.contents
     entry, truth = contents.entries["fast"], contents.truth
     page.tab.mouse.move(*page.spot("map", 33, 7))
-    until(lambda: "x, y 33, 7" in page.readout().replace("\n", " "), "the pixel is said", page.tab)
+    page.reads("x, y 33, 7")
     said = page.readout().replace("−", "-").replace("\n", " ")
     numbers = {name: float(said.split(f"{name} ")[1].split()[0]) for name in ("disparity", "confidence", "error")}
     assert numbers["disparity"] == pytest.approx(entry.disparity[7, 33], abs=1e-3)
     assert numbers["confidence"] == pytest.approx(entry.confidence[7, 33], abs=1e-3)
     assert numbers["error"] == pytest.approx(entry.disparity[7, 33] - truth[7, 33], abs=1e-3)
     page.tab.mouse.move(*page.spot("map", HOLE[2] + 2, HOLE[0] + 1))
-    until(lambda: "disparity undefined" in page.readout().replace("\n", " "), "it is undefined there", page.tab)
+    page.reads("disparity undefined")
 
 
 def test_marks_follow_the_point_through_the_views(page: Page, viewer: Viewer, lf: LightField) -> None:
@@ -55,9 +55,8 @@ def test_marks_follow_the_point_through_the_views(page: Page, viewer: Viewer, lf
     page.click("map", x, y)
     page.tab.mouse.move(5, 5)
     until(lambda: marked(page)() == [f"{x},", f"{y}"], "the pixel is chosen", page.tab)
-    page.tab.keyboard.press("ArrowRight")
-    page.tab.keyboard.press("ArrowRight")
-    page.tab.keyboard.press("ArrowUp")
+    for key in ("ArrowRight", "ArrowRight", "ArrowUp"):
+        page.tab.keyboard.press(key)
     index = lf.index_of(1, 4)
     picture = page.shown("view", f" {index} ")
     assert "Row 1, column 4" in page.tab.inner_text("#left-title")
@@ -102,9 +101,7 @@ def test_epis_are_in_line_with_the_view_and_lead_to_pixels(page: Page, lf: Light
 
 def test_views_and_maps_are_enlarged_together_by_whole_numbers(page: Page, viewer: Viewer) -> None:
     entry = viewer.contents.entries["fast"]
-    page.tab.mouse.move(*page.spot("map", 30, 20))
-    for _ in range(3):
-        page.tab.mouse.wheel(0, -200)
+    page.enlarge("map", 30, 20, 3)
     page.moved("map", lambda place: place[2] > 20, "the map is enlarged")
     page.moved("view", lambda place: place[2] > 20, "the view is enlarged")
     places = [page.place(name) for name in ("map", "view")]
@@ -123,10 +120,7 @@ def test_views_and_maps_are_enlarged_together_by_whole_numbers(page: Page, viewe
     limits = viewer.contents.limits("disparity")
     np.testing.assert_allclose(block[0, 0], viridis(entry.disparity[21, 31], limits), atol=1)
     start = page.spot("map", 31, 21)
-    page.tab.mouse.move(*start)
-    page.tab.mouse.down()
-    page.tab.mouse.move(start[0] + 60, start[1] + 30, steps=3)
-    page.tab.mouse.up()
+    page.drag(start, (start[0] + 60, start[1] + 30))
     page.moved("map", lambda place: place[:2] == (left + 60, top + 30), "the map is moved")
     page.tab.mouse.dblclick(*page.spot("map", 30, 20))
     page.moved("map", lambda place: place[2] < scale, "everything is shown")
@@ -148,10 +142,8 @@ def test_maps_are_compared(page: Page, viewer: Viewer) -> None:
     assert "ground truth" in page.tab.inner_text("#wipe-label")
     left, top, scale = page.place("map")
     box = page.tab.locator("#map").bounding_box()
-    page.tab.mouse.move(box["x"] + left + 0.36 * 48 * scale, box["y"] + top + 100)
-    page.tab.mouse.down()
-    page.tab.mouse.move(box["x"] + left + 2 * scale, box["y"] + top + 100, steps=3)
-    page.tab.mouse.up()
+    x, y = box["x"] + left, box["y"] + top + 100
+    page.drag((x + 0.36 * 48 * scale, y), (x + 2 * scale, y))
     until(lambda: page.at("map", HOLE[2] + 2, HOLE[0] + 1) != GREY, "the wipe is drawn", page.tab)
     shows(4, 30, truth)
     page.tab.keyboard.press("t")
@@ -238,11 +230,9 @@ def test_a_click_puts_the_focus_there(page: Page, viewer: Viewer, lf: LightField
 
 def test_a_map_alone_is_shown(browser: Any) -> None:
     disparity = np.linspace(-1, 1, SIZE[0] * SIZE[1], dtype=np.float32).reshape(SIZE)
-    with Viewer(None, DisparityMap(disparity), port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(None, DisparityMap(disparity), port=0) as viewer, Page(browser, viewer) as page:
         page.shown("map", "disparity")
         assert not page.tab.locator("#view").is_visible()
         assert not page.tab.locator("#run").is_visible()
         page.tab.mouse.move(*page.spot("map", 10, 10))
-        until(lambda: "disparity" in page.readout(), "the value is said", page.tab)
-        page.close()
+        page.reads("disparity")

@@ -34,10 +34,7 @@ def drag(page: Page, du: float, dv: float, aperture: float) -> None:
     scale = page.place("view")[2]
     x, y = page.spot("view", 48, 48)
     by = [-step * scale * side / (2 * aperture) for step, side in ((du, SIZE[1]), (dv, SIZE[0]))]
-    page.tab.mouse.move(x, y)
-    page.tab.mouse.down()
-    page.tab.mouse.move(x + by[0], y + by[1], steps=4)
-    page.tab.mouse.up()
+    page.drag((x, y), (x + by[0], y + by[1]))
 
 
 def seen(page: Page) -> np.ndarray:
@@ -52,8 +49,10 @@ def seen(page: Page) -> np.ndarray:
 def test_it_sees_what_a_camera_there_would_see(browser: Any) -> None:
     whole, few = sparse()
     truth = whole.reference_truth()
-    with Viewer(few, DisparityMap(truth.disparity), port=0) as viewer:
-        page = Page(browser, viewer, width=1600, height=1000)
+    with (
+        Viewer(few, DisparityMap(truth.disparity), port=0) as viewer,
+        Page(browser, viewer, width=1600, height=1000) as page,
+    ):
         page.shown("view", "view")
         drag(page, 1.0, -1.0, float(np.hypot(4, 4)))
         until(lambda: "Camera (+1, −1)" in page.tab.inner_text("#left-title"), "it is there", page.tab)
@@ -69,20 +68,14 @@ def test_it_sees_what_a_camera_there_would_see(browser: Any) -> None:
         page.tab.keyboard.press("ArrowRight")
         page.shown("view", "view")
         assert "column" in page.tab.inner_text("#left-title")
-        page.close()
 
 
 def test_without_a_map_the_camera_goes_from_view_to_view(browser: Any, lf: LightField) -> None:
-    with Viewer(replace(lf, truth=None), port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(replace(lf, truth=None), port=0) as viewer, Page(browser, viewer) as page:
         page.shown("view", f" {lf.reference_index} ")
         x, y = page.spot("view", 24, 20)
-        page.tab.mouse.move(x, y)
-        page.tab.mouse.down()
-        page.tab.mouse.move(x - 400, y, steps=4)
-        page.tab.mouse.up()
+        page.drag((x, y), (x - 400, y))
         page.shown("view", f" {lf.index_of(2, 4)} ")
-        page.close()
 
 
 def test_it_sways_by_a_key_and_stops_at_a_touch(page: Page) -> None:
@@ -98,12 +91,10 @@ def test_it_sways_by_a_key_and_stops_at_a_touch(page: Page) -> None:
 
 def test_dark_captures_are_shown_brighter(browser: Any, lf: LightField) -> None:
     dark = replace(lf, views=(lf.views / 8).astype(np.uint8), truth=None)
-    with Viewer(dark, port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(dark, port=0) as viewer, Page(browser, viewer) as page:
         bright = page.shown("view", "view")
         stops = float(page.tab.input_value("#exposure"))
         assert 2 < stops < 4
         stored = dark.views[lf.reference_index, 30, 4].astype(float)
         np.testing.assert_allclose(page.at("view", 4, 30), np.minimum(255, stored * 2**stops), atol=1)
         assert bright.max() > 200
-        page.close()

@@ -25,9 +25,7 @@ def test_large_views_come_in_tiles_when_they_are_looked_at(browser: Any) -> None
         tiles = [url for url in page.asked if "data/view" in url]
         assert tiles
         assert not any("level=0" in url for url in tiles)
-        page.tab.mouse.move(*page.spot("view", 1300, 900))
-        for _ in range(5):
-            page.tab.mouse.wheel(0, -200)
+        page.enlarge("view", 1300, 900, 5)
         page.moved("view", lambda place: place[2] > 1, "the view is enlarged")
         page.shown("view", "view")
         fine = [url for url in page.asked if f"index={index}&" in url and "level=0" in url]
@@ -45,8 +43,7 @@ def asked_for(page: Page, what: str) -> list[dict[str, str]]:
 def test_neighbours_of_a_view_are_loaded_ahead(browser: Any) -> None:
     """An arrow key shows a view whose tiles have come: the server is asked only for those that may come next."""
     views = np.random.default_rng(1).integers(0, 256, (3, 5, 60, 80, 1), np.uint8)
-    with Viewer(LightField.from_grid(views), port=0) as viewer:
-        page = Page(browser, viewer)
+    with Viewer(LightField.from_grid(views), port=0) as viewer, Page(browser, viewer) as page:
         page.shown("view", " 7 ")
         until(lambda: len(asked_for(page, "view")) == 5, "the neighbours are asked for", page.tab)
         first, *ahead = (int(one["index"]) for one in asked_for(page, "view"))
@@ -58,7 +55,6 @@ def test_neighbours_of_a_view_are_loaded_ahead(browser: Any) -> None:
         assert page.at("view", 40, 30) == (views[1, 3, 30, 40, 0],) * 3
         until(lambda: len(asked_for(page, "view")) == 8, "those of the next view are asked for", page.tab)
         assert {int(one["index"]) for one in asked_for(page, "view")[5:]} == {3, 13, 9}
-        page.close()
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +89,7 @@ def test_what_is_computed_comes_coarse_and_then_as_fine_as_the_screen(
 def test_only_the_part_that_is_seen_is_computed(browser: Any, large: Viewer) -> None:
     page = Page(browser, large)
     page.shown("view", "view")
-    page.tab.mouse.move(*page.spot("view", 1000, 100))
-    for _ in range(6):
-        page.tab.mouse.wheel(0, -200)
+    page.enlarge("view", 1000, 100, 6)
     page.moved("view", lambda place: place[2] >= 5, "the view is enlarged")
     page.tab.keyboard.press("a")
     page.shown("view", "sharp")

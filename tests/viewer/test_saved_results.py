@@ -1,6 +1,5 @@
 """Estimates that the page starts, results and pictures that it saves, maps that it opens."""
 
-import io
 from pathlib import Path
 from typing import Any
 
@@ -46,18 +45,11 @@ def test_results_and_pictures_are_saved(page: Page, viewer: Viewer, tmp_path: Pa
     entry = viewer.contents.entries["fast"]
     page.tab.keyboard.press("s")
     page.tab.fill("#save-name", "my map")
-    saved = {}
     buttons = {text: page.tab.get_by_role("button", name=text, exact=True) for text in (".npz", ".pfm", ".ply")}
-    buttons["Map"] = page.tab.locator("#save-map")
-    buttons["Map with scale"] = page.tab.locator("#save-figure")
-    for text, button in buttons.items():
-        with page.tab.expect_download() as download:
-            button.click()
-        saved[text] = tmp_path / download.value.suggested_filename
-        download.value.save_as(saved[text])
-    assert {path.name for path in saved.values()} == {
-        "my map.npz", "my map.pfm", "my map.ply", "my map-disparity.png"
-    }  # fmt: skip
+    buttons |= {"map": "#save-map", "with a scale": "#save-figure"}
+    saved = {text: page.saved(button, tmp_path) for text, button in buttons.items()}
+    names = {"my map.npz", "my map.pfm", "my map.ply", "my map-disparity.png"}
+    assert {path.name for path in saved.values()} == names
     result = load(saved[".npz"])
     assert result.config == entry.result.config  # type: ignore[union-attr]
     np.testing.assert_array_equal(read_map(saved[".pfm"]), entry.disparity)
@@ -67,10 +59,7 @@ def test_results_and_pictures_are_saved(page: Page, viewer: Viewer, tmp_path: Pa
 def test_saved_maps_have_one_pixel_for_each_and_no_marks(page: Page, viewer: Viewer, tmp_path: Path) -> None:
     entry = viewer.contents.entries["fast"]
     page.tab.keyboard.press("s")
-    with page.tab.expect_download() as download:
-        page.tab.click("#save-map")
-    download.value.save_as(tmp_path / "map.png")
-    with Image.open(tmp_path / "map.png") as image:
+    with Image.open(page.saved("#save-map", tmp_path)) as image:
         found = np.asarray(image.convert("RGB"))
     limits = viewer.contents.limits("disparity")
     share = np.clip((np.nan_to_num(entry.disparity) - limits[0]) / (limits[1] - limits[0]), 0, 1)
@@ -84,15 +73,12 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
     page.tab.keyboard.press("d")
     page.choose("space-paint", "confidence")
 
-    until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
+    page.has_points()
     wide = int(page.tab.locator("#space-frame").bounding_box()["width"])
     page.tab.keyboard.press("s")
 
     def saved() -> list[np.ndarray]:
-        with page.tab.expect_download() as download:
-            page.tab.click("#save-space [value=picture]")
-        download.value.save_as(tmp_path / "space.png")
-        with Image.open(tmp_path / "space.png") as image:
+        with Image.open(page.saved("#save-space [value=picture]", tmp_path)) as image:
             found = np.asarray(image.convert("RGB")).astype(int)
         return [found] if len(np.unique(found[:, :wide].reshape(-1, 3), axis=0)) > 100 else []
 
@@ -104,8 +90,7 @@ def test_points_are_drawn_and_saved_without_marks(page: Page, tmp_path: Path) ->
     page.says("colour: confidence", "#right-title")
     assert not _pink(found).any()  # there is none in the colours of the confidence
     page.tab.keyboard.press("Escape")
-    with Image.open(io.BytesIO(page.tab.locator("#space-frame").screenshot(timeout=90_000))) as image:
-        seen = np.asarray(image.convert("RGB")).astype(int)
+    seen = page.space()
     assert len(np.unique(seen.reshape(-1, 3), axis=0)) > 100
     assert _pink(seen).any()
 
@@ -131,25 +116,15 @@ def test_films_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_pa
     page = Page(browser, viewer, width=800, height=420)
     page.shown("map", "disparity")
     page.tab.keyboard.press("d")
-    until(lambda: not page.tab.locator("#space-note").is_visible(), "the points are on the page", page.tab)
-    frame = page.tab.locator("#space-frame")
-
-    def seen() -> np.ndarray:
-        with Image.open(io.BytesIO(frame.screenshot(timeout=90_000))) as image:
-            return np.asarray(image.convert("RGB")).astype(int)
-
+    page.has_points()
+    seen = page.space
     until(lambda: len(np.unique(seen().reshape(-1, 3), axis=0)) > 100, "points are drawn", page.tab)
     before = seen()
     page.choose("space-paint", "confidence")
     until(lambda: not np.array_equal(seen(), before), "their colours change", page.tab)
     until(lambda: np.array_equal(seen(), seen()), "they have their colours", page.tab)  # before the film begins
-    saved = {}
     page.tab.keyboard.press("s")
-    for form in ("gif", "mp4"):
-        with page.tab.expect_download(timeout=300_000) as download:
-            page.tab.click(f"#save-space [value={form}]")
-        saved[form] = tmp_path / download.value.suggested_filename
-        download.value.save_as(saved[form])
+    saved = {form: page.saved(f"#save-space [value={form}]", tmp_path, 300_000) for form in ("gif", "mp4")}
     with Image.open(saved["gif"]) as image:
         assert image.n_frames == PICTURES  # type: ignore[attr-defined]
         frames = []
@@ -176,8 +151,7 @@ def test_films_are_saved_and_the_eye_orbits(browser: Any, viewer: Viewer, tmp_pa
 def test_a_light_field_of_fewer_views_replaces_one_of_more(browser: Any, files: Path, tmp_path: Path) -> None:
     """Also while a view is looked at that the new one has not."""
     write_hci(scenes.make("boxes", grid=(3, 3), size=(30, 44)), tmp_path / "small")
-    with Viewer.of([files / "boxes", files / "fast"], port=0, allow_open=True) as viewer:
-        page = Page(browser, viewer)
+    with Viewer.of([files / "boxes", files / "fast"], port=0, allow_open=True) as viewer, Page(browser, viewer) as page:
         page.shown("map", "disparity")
         page.tab.keyboard.press("ArrowDown")
         page.shown("view", " 17 ")
@@ -189,4 +163,3 @@ def test_a_light_field_of_fewer_views_replaces_one_of_more(browser: Any, files: 
         page.shown("map", "disparity")
         assert "Row 1, column 1" in page.tab.inner_text("#left-title")
         assert "3 × 3 views, 44 × 30 pixels" in page.tab.inner_text("#facts")
-        page.close()  # without an error on the page
