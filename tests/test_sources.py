@@ -143,12 +143,21 @@ def test_a_growing_folder_that_is_not_there(tmp_path: Path) -> None:
         open_source(f"growing:{tmp_path / 'nowhere'}")
 
 
+def test_options_that_a_source_does_not_read_are_refused(tmp_path: Path) -> None:
+    write_hci(film()[0], tmp_path / "0")
+    with pytest.raises(lfgpu.LightFieldError, match="takes no grid and no size: it is a folder that holds"):
+        open_source(str(tmp_path), Options(grid=(2, 3), scene={"size": (24, 24)}))
+    with pytest.raises(lfgpu.LightFieldError, match="takes no like: it is a synthetic scene"):
+        open_source("moving", Options(like=film()[0]))
+
+
 # --- frames that are kept ---
 
 
 def test_recorded_frames_are_played_again(tmp_path: Path) -> None:
     """With cameras that had no picture, the reference view and the frames that do not fit left out."""
-    first = lfgpu.LightField(film()[0].views, film()[0].positions, reference=2, geometry=lfgpu.Geometry(500.0, 0.1))
+    where = {"geometry": lfgpu.Geometry(500.0, 0.1), "files": tuple(f"{n}.png" for n in range(6))}
+    first = lfgpu.LightField(film()[0].views, film()[0].positions, reference=2, **where)
     there = np.array([True, True, True, False, True, True])
     given: list[Any] = [first, film()[1].views, (film()[2].views, there), film()[3].views[:2]]
     given.append((film()[3].views, np.arange(6) != 2))
@@ -263,7 +272,8 @@ def test_every_source_is_in_the_help() -> None:
 def test_a_scene_that_moves_is_made_before_it_is_played(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lfgpu.pipelines.sources.scene._SAID_AGAIN", 1e9)  # on a busy machine it takes some seconds
     heard: list[str] = []
-    frames = open_source("moving", Options(grid=(2, 2), scene={"size": (24, 24)}, say=heard.append)).frames
+    clean = {"size": (24, 24), "noise": 0.0}
+    frames = open_source("moving", Options(grid=(2, 2), scene=clean, say=heard.append)).frames
     assert heard == ["Making 24 frames of the scene moving, which then repeat."]
     some = [next(frames) for _ in range(49)]
     assert some[1] is some[25]

@@ -109,11 +109,20 @@ def live(
         ),
     ] = None,
     size: Annotated[
-        str, typer.Option(metavar="HEIGHTxWIDTH", help="Size of the views of a synthetic scene, pixels.")
-    ] = "192x256",
+        str | None,
+        typer.Option(
+            metavar="HEIGHTxWIDTH",
+            help="Size of the views of a synthetic scene, pixels.",
+            show_default="192x256",
+        ),
+    ] = None,
     noise: Annotated[
-        float, typer.Option(help="Noise of the views of a synthetic scene: standard deviation, intensities 0 to 1.")
-    ] = 0.005,
+        float | None,
+        typer.Option(
+            help="Noise of the views of a synthetic scene: standard deviation, intensities 0 to 1.",
+            show_default="0.005",
+        ),
+    ] = None,
     rectify: Annotated[
         Path | None,
         typer.Option(
@@ -154,10 +163,11 @@ def live(
     chosen = values.parse_policy("--policy", policy)
     values.use_threads("--threads", threads)
     rectifier = None if rectify is None else calibration.read_rectifier(rectify)
+    made = {"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise}
     options = Options(
         grid=values.parse_size("--grid", grid, "ROWSxCOLUMNS such as 9x9"),
         like=None if like is None else read(like),
-        scene={"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise},
+        scene={name: value for name, value in made.items() if value is not None},
         most=frames,
         rectifier=rectifier,
         say=(lambda _: None) if quiet else _say,

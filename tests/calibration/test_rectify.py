@@ -294,7 +294,8 @@ def test_the_truth_is_that_of_the_rectified_cameras(boxes: LightField) -> None:
     assert np.abs(np.median(found.truth.disparity - boxes.truth.disparity)) > 0.03
     map_ = lfgpu.estimate_depth(found, config="fast", check_cameras=False)
     assert np.median(np.abs(map_.disparity - found.truth.disparity)[15:-15, 15:-15]) < 0.03
-    assert rectify(replace(wrong.light_field, geometry=None), calibration=known(wrong.cameras)).light_field.truth is None
+    flat = replace(wrong.light_field, geometry=None)
+    assert rectify(flat, calibration=known(wrong.cameras)).light_field.truth is None
 
 
 def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:

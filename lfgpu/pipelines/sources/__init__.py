@@ -16,6 +16,7 @@ from lfgpu.pipelines.sources.base import Frames, Options, Source
 from lfgpu.pipelines.sources.feeding import feed
 from lfgpu.pipelines.sources.recording import recorded
 
+_CAMERAS = frozenset({"grid", "like"})
 SOURCES: tuple[Source, ...] = (
     # Those with a prefix come first; the last one takes what is left with a colon.
     Source(
@@ -38,18 +39,21 @@ SOURCES: tuple[Source, ...] = (
         recognise=devices.recognise,
         open=devices.frames,
         is_live=True,
+        takes=_CAMERAS,
     ),
     Source(
         form="VIDEO",
         description="a video whose frames are grids of views (--grid)",
         recognise=videos.recognise,
         open=videos.tiled_frames,
+        takes=_CAMERAS,
     ),
     Source(
         form="FOLDER of videos",
         description="one video for each camera, in the order of their names",
         recognise=videos.recognise_folder,
         open=videos.frames_of_cameras,
+        takes=_CAMERAS,
     ),
     Source(
         form="FOLDER",
@@ -62,6 +66,7 @@ SOURCES: tuple[Source, ...] = (
         description="a synthetic scene; moving goes round, the others stand still",
         recognise=scene.recognise,
         open=scene.frames,
+        takes=scene.OPTIONS,
     ),
     Source(
         form="MODULE:FUNCTION",
@@ -89,6 +94,9 @@ def open_source(text: str, options: Options | None = None) -> Opened:
         what = "is a file, but no video" if Path(text).exists() else "does not exist"
         raise LightFieldError(f"{text} {what}; give one of {', '.join(source.form for source in SOURCES)}.")
     options = options or Options()
+    given = {*options.scene, *(name for name in _CAMERAS if getattr(options, name) is not None)}
+    if unread := sorted(given - source.takes):
+        raise LightFieldError(f"{text} takes no {' and no '.join(unread)}: it is {source.description}; leave that out.")
     frames = source.open(text, options)
     try:
         first = next(frames)

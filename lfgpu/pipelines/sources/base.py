@@ -23,7 +23,7 @@ class Options:
     grid: tuple[int, int] | None = None  # (rows, columns) of the cameras, and of the views of a synthetic scene
     like: LightField | None = None  # light field of the same cameras that gives positions, reference view and geometry
     scene: dict[str, Any] = field(default_factory=dict)
-    """Options of `scenes.make`: `size`, `disparity_range`, `noise` and `seed`."""
+    """Options of `scenes.make`, such as `size` and `noise`."""
     most: int | None = None  # largest number of frames that are used; None: no limit
     rectifier: Rectifier | None = None  # with it frames are raw pictures of its cameras
     say: Callable[[str], None] = lambda _: None  # takes sentences for the user, such as which frame was left out
@@ -39,6 +39,7 @@ class Source:
     open: Callable[[str, Options], Frames]
     """Yields the frames of the source that a text names; LightFieldError names what is wrong."""
     is_live: bool = False  # True if frames come by themselves, so that those that come too fast are lost
+    takes: frozenset[str] = frozenset()  # of the options that say what the light field is like: "grid", "like", "size"
 
 
 def check_sizes(names: Sequence[str], pictures: Sequence[NDArray[Any]]) -> None:

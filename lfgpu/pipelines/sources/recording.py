@@ -48,9 +48,9 @@ def reference_view(frame: Any, first: LightField) -> NDArray[Any] | None:
 
 
 def _light_field(frame: Any, first: LightField) -> LightField | None:
-    """Make a frame a light field, without truth; None if it does not fit to the first one."""
+    """Make a frame a light field, without truth and files; None if it does not fit to the first one."""
     if isinstance(frame, LightField):
-        return replace(frame, truth=None)
+        return replace(frame, truth=None, files=())
     if (found := _pictures(frame, first)) is None:
         return None
     views, there = found

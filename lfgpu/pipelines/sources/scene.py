@@ -14,7 +14,8 @@ if TYPE_CHECKING:
 
 _SAID_AGAIN = 2.0  # seconds, at least, between two sentences about how many frames are made
 _ROUND = 24  # frames of a scene that moves, after which it repeats
-_GRID = (7, 7)
+_GRID, _SIZE, _NOISE = (7, 7), (192, 256), 0.005
+OPTIONS = frozenset({"grid", "size", "noise", "disparity_range", "seed"})
 
 
 def recognise(source: str) -> bool:
@@ -27,7 +28,7 @@ def frames(source: str, options: Options) -> Frames:
     """Yield for ever the frames of a scene that moves, or the one frame of another scene."""
     from lfgpu.scenes import make
 
-    given = {**options.scene, "grid": options.grid or _GRID}
+    given = {"size": _SIZE, "noise": _NOISE, **options.scene, "grid": options.grid or _GRID}
     if source != "moving":
         return itertools.repeat(make(source, **given))
     wanted = min(_ROUND, options.most or _ROUND)
