@@ -9,7 +9,7 @@ Importing lfgpu starts no device and loads no backend; names are loaded when the
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -113,7 +113,9 @@ if not TYPE_CHECKING:  # or every misspelt name would be Any
 
             return version_of("lfgpu") or "not installed"
         if name not in _HOMES:
-            raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
+            if name.startswith("_") or importlib.util.find_spec(f"lfgpu.{name}") is None:
+                raise AttributeError(f"module 'lfgpu' has no attribute {name!r}")
+            return importlib.import_module(f"lfgpu.{name}")
         return getattr(importlib.import_module(f"lfgpu.{_HOMES[name]}"), name)
 
 

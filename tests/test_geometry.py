@@ -44,7 +44,7 @@ def test_lengths_must_be_positive_and_places_pairs() -> None:
     """Only the focus distance may be infinite."""
     lengths = ("focal_length_px", "baseline_m", "focus_distance_m", "pixel_aspect")
     wrong: list[tuple[str, Any]] = [*product(lengths, (0.0, -1.0, np.nan)), *product(lengths[:2], (np.inf,))]
-    for name, value in (*wrong, *product(("principal_point", "unshifted_at"), ((1.0,), (1.0, np.nan)))):
+    for name, value in (*wrong, *product(("principal_point", "unshifted_at"), (5, (1.0,), (1.0, np.nan)))):
         with pytest.raises(LightFieldError, match=name):
             Geometry(**({"focal_length_px": 1.0, "baseline_m": 1.0} | {name: value}))
 

@@ -67,7 +67,7 @@ def test_the_middle_view_is_the_reference(light_field: LightField) -> None:
     assert light_field.reference_index == light_field.index_of(1, 2)
     np.testing.assert_array_equal(light_field.offsets[0], [-2, -1])  # (du, dv) of the upper left view
     assert (light_field.grid_shape, light_field.size, light_field.missing) == ((3, 5), (HEIGHT, WIDTH), ())
-    light_field = LightField.from_grid(np.zeros((2, 4, 3, 3), np.uint8))
+    light_field = LightField.from_grid(np.zeros((2, 4, 5, 5), np.uint8))
     np.testing.assert_array_equal(light_field.positions[light_field.reference_index], [2, 1])
     light_field = LightField(np.zeros((3, 4, 4), np.uint8), np.array([[0, 0], [1.5, 0.2], [4, -1]]))
     assert light_field.reference == 1  # nearest to the middle (2, -0.5)
@@ -194,6 +194,8 @@ def test_good_arguments_are_good_and_positions_are_copied() -> None:
     assert LightField(**views_of()).reference == 1
     with pytest.raises(LightFieldError, match=r"\(3, 4, 4\)"):
         LightField.from_grid(np.zeros((3, 4, 4), np.uint8))
+    with pytest.raises(LightFieldError, match=r"\(9, 16, 20, 3\) is the shape of a list of views"):
+        LightField.from_grid(np.zeros((9, 16, 20, 3), np.uint8))
     positions = np.array([[0.0, 0.0], [1.0, 0.0]])
     light_field = LightField(np.zeros((2, 3, 3), np.uint8), positions)
     positions[:] = 7
@@ -219,6 +221,7 @@ def test_good_arguments_are_good_and_positions_are_copied() -> None:
         ({"valid": np.ones((3, 4, 5), np.bool_)}, ["valid", "(3, 4, 5)"]),
         ({"valid": np.ones((3, 4, 4), np.uint8)}, ["valid", "uint8"]),
         ({"truth": GroundTruth(np.zeros((4, 5), np.float32), (1.0, 0.0))}, ["truth", "(4, 4)", "(4, 5)"]),
+        ({"white": 256}, ["white", "from 1 to 255"]),
         ({"grid_shape": (1, 2)}, ["positions", "1 x 2", "0 to 2"]),
         (
             {"grid_shape": (1, 3), "positions": np.array([[0, 0], [0.5, 0], [1, 0]])},

@@ -75,7 +75,9 @@ class Geometry:
             place = getattr(self, name)
             if place is None:
                 continue
-            if len(place) != 2 or not all(isinstance(part, Real) and np.isfinite(float(part)) for part in place):
+            if np.shape(place) != (2,) or not all(
+                isinstance(part, Real) and np.isfinite(float(part)) for part in place
+            ):
                 raise LightFieldError(f"geometry: {name} must be two finite numbers, not {place!r:.60}.")
 
     def depth(self, disparity: ArrayLike) -> NDArray[np.float64]:

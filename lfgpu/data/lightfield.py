@@ -184,7 +184,7 @@ class LightField:
         if self.grid_shape is not None:
             check_grid(positions, self.grid_shape)
         if self.white is not None:
-            check_whole("white", self.white, 1)
+            check_whole("white", self.white, 1, np.inf if views.dtype == np.float32 else np.iinfo(views.dtype).max)
         files = texts("files", self.files)
         if files and len(files) != len(views):
             raise LightFieldError(f"files must be one for each of {len(views)} views; found {len(files)}.")
@@ -222,6 +222,11 @@ class LightField:
         grid = views if isinstance(views, np.ma.MaskedArray) else array_of_numbers("views", views)
         if grid.ndim not in (4, 5):
             raise LightFieldError(f"a grid of views must be [v, u, y, x] or [v, u, y, x, c]; found shape {grid.shape}.")
+        if grid.ndim == 4 and grid.shape[-1] in (1, 3, 4):
+            raise LightFieldError(
+                f"{grid.shape} is the shape of a list of views [n, y, x, c], in which nothing says how many stand in a "
+                "row; reshape it to a grid [v, u, y, x, c], or give the views and their positions to LightField."
+            )
         rows, columns = grid.shape[:2]
         v, u = np.mgrid[:rows, :columns]
         fields.setdefault("reference", (rows // 2) * columns + columns // 2)
