@@ -147,6 +147,18 @@ def test_an_item_comes_out_as_from_estimate_depth(scene_folders: Path, tmp_path:
     assert result.timings["total"] > 0
 
 
+def test_outputs_of_an_earlier_run_go_when_new_ones_come(scene_folders: Path, tmp_path: Path) -> None:
+    out = tmp_path / "scene_0"
+    work(jobs(scene_folders, tmp_path)[0], "cpu")
+    (out / "notes.txt").write_text("mine")
+    before = {path.name for path in out.iterdir()}
+    assert work(jobs(scene_folders, tmp_path, replace(FAST, place=(9, 9)))[0], "cpu")["status"] == FAILED
+    assert {path.name for path in out.iterdir()} == before
+    sizes = work(jobs(scene_folders, tmp_path, replace(FAST, place=(0, 0)))[0], "cpu")["sizes"]
+    assert before - {*sizes} == {"error.png", "notes.txt"}  # there is no truth of that view
+    assert {path.name for path in out.iterdir()} == {*sizes, "notes.txt"}
+
+
 def test_a_pipeline_serves_the_next_item_and_changes_nothing(scene_folders: Path, tmp_path: Path) -> None:
     """With range and noise given, a worker keeps what it has allocated."""
     settings = replace(FAST, config=QUICK.with_values({"sweep.noise": 0.004}))

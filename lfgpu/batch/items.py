@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import RESULT_FILE, several
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several
 from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
@@ -23,6 +23,8 @@ MANIFEST_FILE = "manifest.jsonl"
 LOCK_FILE = ".batch.lock"
 VIEW_FILE, PREVIEW_FILE, ERROR_FILE = "view.jpg", "preview.png", "error.png"
 """Pictures of an item for the page: the reference view, the map, and its error where there is ground truth."""
+ITEM_FILES = (DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE, ERROR_FILE, REPORT_FILE)
+"""All files that the folder of an item may hold; those of an earlier run that a new one lacks are removed."""
 OWN = (MANIFEST_FILE, LOCK_FILE, REPORT_FILE)
 """The files that lie beside the folders of the items."""
 
