@@ -129,6 +129,43 @@ def test_fingerprints_tell_changed_files(scene_folders: Path, tmp_path: Path) ->
     assert fingerprint(str(copy)) != before
 
 
+@pytest.mark.parametrize("table", ["views.file", "views.valid", "truth.disparity", "truth.mask", "source.path"])
+def test_fingerprints_tell_changed_files_that_a_description_names(table: str, tmp_path: Path) -> None:
+    kind, key = table.split(".")
+    files, source = tmp_path / "files", tmp_path / "described" / "one.toml"
+    for folder in (files, source.parent):
+        folder.mkdir()
+    (files / "a.png").write_bytes(b"")
+    named = "../files" if kind == "source" else "../files/a.png"
+    source.write_text(f'[[views]]\nposition = [0, 0]\n{"" if kind == "views" else f"[{kind}]"}\n{key} = "{named}"\n')
+    before = fingerprint(str(source))
+    assert fingerprint(str(source)) == before
+    os.utime(files / "a.png", ns=(1, 1))
+    assert fingerprint(str(source)) != before
+    (files / "a.png").unlink()  # it is missing, which is said by who reads it
+    assert fingerprint(str(source)) != before
+    for text in ("views = 3", 'views = [{file = "\\u0000"}]'):
+        source.write_text(text)
+        assert fingerprint(str(source)) != before
+    (source.parent / "one.json").write_text('{"views": [{"file": "\\ud800"}]}')
+    assert fingerprint(str(source.parent / "one.json")) != before
+
+
+def test_fingerprints_tell_changed_files_in_linked_folders(tmp_path: Path) -> None:
+    folder, elsewhere = tmp_path / "in" / "one", tmp_path / "elsewhere"
+    for place in (folder, elsewhere):
+        place.mkdir(parents=True)
+        (place / "a.png").write_bytes(b"")
+    (folder / "views").symlink_to(elsewhere)
+    for name, target in (("loop", elsewhere), ("back", folder), ("up", folder.parent)):
+        (elsewhere / name).symlink_to(target)
+    before = fingerprint(str(folder))
+    (folder.parent / "another.png").write_bytes(b"")
+    assert fingerprint(str(folder)) == before
+    os.utime(elsewhere / "a.png", ns=(1, 1))
+    assert fingerprint(str(folder)) != before
+
+
 # --- what becomes of an item ---
 
 

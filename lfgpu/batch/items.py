@@ -12,6 +12,7 @@ from pathlib import Path
 from lfgpu.errors import LightFieldError
 from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several
 from lfgpu.io.atomic import LEFT_OVER
+from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.map_formats import REPORT_FILE
@@ -95,23 +96,34 @@ def _times(path: Path, pattern: str | None) -> int:
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
-    """Hash names, sizes and times of the files of a light field, without those in the output folder `leave_out`."""
-    root = Path(source)
+    """Hash names, sizes and times of the files of a light field, also of those that a description names.
+
+    Those in the output folder `leave_out` are left out.
+    """
+    excluded = None if leave_out is None else real(leave_out)
     digest = hashlib.sha256()
-    files = sorted(_files(root, None if leave_out is None else real(leave_out))) if _is_folder(root) else [root]
-    for file in files:
-        try:
-            found = file.stat()
-            text = f"{file.relative_to(root)}\0{found.st_size}\0{found.st_mtime_ns}\0"
-        except OSError as error:
-            text = f"{file}\0{error.errno}\0"
-        digest.update(text.encode(errors="surrogateescape"))
+    for place in (Path(source), *named_by(Path(source))):
+        for file in sorted(_files(place, excluded)) if _is_folder(place) else [place]:
+            try:
+                found = file.stat()
+                text = f"{file.relative_to(place)}\0{found.st_size}\0{found.st_mtime_ns}\0"
+            except OSError as error:
+                text = f"{file}\0{error.errno}\0"
+            except ValueError:  # a zero byte in a name, which no file has
+                continue
+            digest.update(text.encode(errors="surrogateescape"))
     return digest.hexdigest()[:16]
 
 
 def _files(folder: Path, excluded: Path | None) -> Iterable[Path]:
-    for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if real(Path(place, name)) != excluded]
+    """Yield the files of a folder at any depth; folders that links lead to are looked into as well, each once."""
+    seen = {excluded, real(folder), *real(folder).parents}
+    for place, folders, names in os.walk(folder, followlinks=True):
+        for name in sorted(folders):
+            where = real(Path(place, name))
+            if where in seen:
+                folders.remove(name)
+            seen.add(where)
         yield from (Path(place, name) for name in names)
 
 
