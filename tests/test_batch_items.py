@@ -115,6 +115,14 @@ def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
         find_items([str(tmp_path)], sequence=False)
 
 
+def test_the_folder_of_inputs_takes_no_outputs(scene_folders: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(scene_folders)
+    for out in (scene_folders, tmp_path / "link"):
+        outcome = lfgpu("batch", scene_folders, "-o", out)
+        assert outcome.exit_code == 1
+        assert re.fullmatch(r"lfgpu: -o names \S+, which is the input; name another folder [^\n]*\.\n", outcome.stderr)
+
+
 def test_fingerprints_tell_changed_files(scene_folders: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(scene_folders / "scene_0", copy)

@@ -63,12 +63,17 @@ def find_items(
     """
     everything: list[Path] = []
     search = _Search(None if leave_out is None else real(leave_out))
-    for path in (path for text in inputs for path in _matches(text) if real(path) != search.excluded):
+    named = [path for text in inputs for path in _matches(text)]
+    for path in (path for path in named if real(path) != search.excluded):
         if format_name is not None or pattern is not None or not _is_folder(path):
             everything.append(path)
         else:
             everything += search.below(path)
     paths = sorted({path.absolute() for path in everything}, key=lambda path: natural_order(str(path)))
+    if not paths and any(real(path) == search.excluded for path in named):
+        raise LightFieldError(
+            f"-o names {leave_out}, which is the input; name another folder for the outputs, which may lie inside it."
+        )
     if not paths:
         raise LightFieldError(
             f"no light field was found in {', '.join(inputs)}; give light fields, or folders that hold some."
