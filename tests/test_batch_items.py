@@ -116,6 +116,14 @@ def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
         find_items([str(tmp_path)], sequence=False)
 
 
+def test_the_folder_of_inputs_takes_no_outputs(scene_folders: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(scene_folders)
+    for out in (scene_folders, tmp_path / "link"):
+        outcome = lfgpu("batch", scene_folders, "-o", out)
+        assert outcome.exit_code == 1
+        assert re.fullmatch(r"lfgpu: -o names \S+, which is the input; name another folder [^\n]*\.\n", outcome.stderr)
+
+
 def test_fingerprints_tell_changed_files(scene_folders: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     shutil.copytree(scene_folders / "scene_0", copy)
@@ -128,6 +136,43 @@ def test_fingerprints_tell_changed_files(scene_folders: Path, tmp_path: Path) ->
     shutil.rmtree(copy / "out")
     os.utime(copy / "input_Cam003.png", ns=(1, 1))
     assert fingerprint(str(copy)) != before
+
+
+@pytest.mark.parametrize("table", ["views.file", "views.valid", "truth.disparity", "truth.mask", "source.path"])
+def test_fingerprints_tell_changed_files_that_a_description_names(table: str, tmp_path: Path) -> None:
+    kind, key = table.split(".")
+    files, source = tmp_path / "files", tmp_path / "described" / "one.toml"
+    for folder in (files, source.parent):
+        folder.mkdir()
+    (files / "a.png").write_bytes(b"")
+    named = "../files" if kind == "source" else "../files/a.png"
+    source.write_text(f'[[views]]\nposition = [0, 0]\n{"" if kind == "views" else f"[{kind}]"}\n{key} = "{named}"\n')
+    before = fingerprint(str(source))
+    assert fingerprint(str(source)) == before
+    os.utime(files / "a.png", ns=(1, 1))
+    assert fingerprint(str(source)) != before
+    (files / "a.png").unlink()  # it is missing, which is said by who reads it
+    assert fingerprint(str(source)) != before
+    for text in ("views = 3", 'views = [{file = "\\u0000"}]'):
+        source.write_text(text)
+        assert fingerprint(str(source)) != before
+    (source.parent / "one.json").write_text('{"views": [{"file": "\\ud800"}]}')
+    assert fingerprint(str(source.parent / "one.json")) != before
+
+
+def test_fingerprints_tell_changed_files_in_linked_folders(tmp_path: Path) -> None:
+    folder, elsewhere = tmp_path / "in" / "one", tmp_path / "elsewhere"
+    for place in (folder, elsewhere):
+        place.mkdir(parents=True)
+        (place / "a.png").write_bytes(b"")
+    (folder / "views").symlink_to(elsewhere)
+    for name, target in (("loop", elsewhere), ("back", folder), ("up", folder.parent)):
+        (elsewhere / name).symlink_to(target)
+    before = fingerprint(str(folder))
+    (folder.parent / "another.png").write_bytes(b"")
+    assert fingerprint(str(folder)) == before
+    os.utime(elsewhere / "a.png", ns=(1, 1))
+    assert fingerprint(str(folder)) != before
 
 
 # --- what becomes of an item ---
@@ -146,6 +191,18 @@ def test_an_item_comes_out_as_from_estimate_depth(scene_folders: Path, tmp_path:
     assert entry["metrics"]["count"] == 10 * 18
     assert {path.name: path.stat().st_size for path in (tmp_path / "scene_0").iterdir()} == entry["sizes"]
     assert result.timings["total"] > 0
+
+
+def test_outputs_of_an_earlier_run_go_when_new_ones_come(scene_folders: Path, tmp_path: Path) -> None:
+    out = tmp_path / "scene_0"
+    work(jobs(scene_folders, tmp_path)[0], "cpu")
+    (out / "notes.txt").write_text("mine")
+    before = {path.name for path in out.iterdir()}
+    assert work(jobs(scene_folders, tmp_path, replace(FAST, place=(9, 9)))[0], "cpu")["status"] == FAILED
+    assert {path.name for path in out.iterdir()} == before
+    sizes = work(jobs(scene_folders, tmp_path, replace(FAST, place=(0, 0)))[0], "cpu")["sizes"]
+    assert before - {*sizes} == {"error.png", "notes.txt"}  # there is no truth of that view
+    assert {path.name for path in out.iterdir()} == {*sizes, "notes.txt"}
 
 
 def test_a_pipeline_serves_the_next_item_and_changes_nothing(scene_folders: Path, tmp_path: Path) -> None:

@@ -103,6 +103,13 @@ def test_recording_of_a_folder(sequence: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_map(out / "disparity_000000.pfm"), want.disparity)
     np.testing.assert_array_equal(read_map(out / "confidence_000000.pfm"), want.confidence)
     assert len(list(out.iterdir())) == 3 * 2 + 1
+    (out / "disparity_000007.pfm").write_bytes(b"of another program")
+    before = {path.name for path in out.iterdir()}
+    assert lfgpu_live(sequence, "-o", out, "--preset=fast", RANGE, "--budget=-1").exit_code != 0
+    assert {path.name for path in out.iterdir()} == before
+    outcome = lfgpu_live(sequence, "-o", out, "--preset=fast", RANGE, "--cold", "--frames=2")
+    assert outcome.exit_code == 0, outcome.output
+    assert before - {path.name for path in out.iterdir()} == {"disparity_000002.pfm", "confidence_000002.pfm"}
 
 
 @pytest.fixture(scope="module")

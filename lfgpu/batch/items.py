@@ -10,8 +10,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import RESULT_FILE, several
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several
 from lfgpu.io.atomic import LEFT_OVER
+from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.map_formats import REPORT_FILE
@@ -23,6 +24,8 @@ MANIFEST_FILE = "manifest.jsonl"
 LOCK_FILE = ".batch.lock"
 VIEW_FILE, PREVIEW_FILE, ERROR_FILE = "view.jpg", "preview.png", "error.png"
 """Pictures of an item for the page: the reference view, the map, and its error where there is ground truth."""
+ITEM_FILES = (DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE, ERROR_FILE, REPORT_FILE)
+"""All files that the folder of an item may hold; those of an earlier run that a new one lacks are removed."""
 OWN = (MANIFEST_FILE, LOCK_FILE, REPORT_FILE)
 """The files that lie beside the folders of the items."""
 
@@ -60,12 +63,17 @@ def find_items(
     """
     everything: list[Path] = []
     search = _Search(None if leave_out is None else real(leave_out))
-    for path in (path for text in inputs for path in _matches(text) if real(path) != search.excluded):
+    named = [path for text in inputs for path in _matches(text)]
+    for path in (path for path in named if real(path) != search.excluded):
         if format_name is not None or pattern is not None or not _is_folder(path):
             everything.append(path)
         else:
             everything += search.below(path)
     paths = sorted({path.absolute() for path in everything}, key=lambda path: natural_order(str(path)))
+    if not paths and any(real(path) == search.excluded for path in named):
+        raise LightFieldError(
+            f"-o names {leave_out}, which is the input; name another folder for the outputs, which may lie inside it."
+        )
     if not paths:
         raise LightFieldError(
             f"no light field was found in {', '.join(inputs)}; give light fields, or folders that hold some."
@@ -93,23 +101,34 @@ def _times(path: Path, pattern: str | None) -> int:
 
 
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
-    """Hash names, sizes and times of the files of a light field, without those in the output folder `leave_out`."""
-    root = Path(source)
+    """Hash names, sizes and times of the files of a light field, also of those that a description names.
+
+    Those in the output folder `leave_out` are left out.
+    """
+    excluded = None if leave_out is None else real(leave_out)
     digest = hashlib.sha256()
-    files = sorted(_files(root, None if leave_out is None else real(leave_out))) if _is_folder(root) else [root]
-    for file in files:
-        try:
-            found = file.stat()
-            text = f"{file.relative_to(root)}\0{found.st_size}\0{found.st_mtime_ns}\0"
-        except OSError as error:
-            text = f"{file}\0{error.errno}\0"
-        digest.update(text.encode(errors="surrogateescape"))
+    for place in (Path(source), *named_by(Path(source))):
+        for file in sorted(_files(place, excluded)) if _is_folder(place) else [place]:
+            try:
+                found = file.stat()
+                text = f"{file.relative_to(place)}\0{found.st_size}\0{found.st_mtime_ns}\0"
+            except OSError as error:
+                text = f"{file}\0{error.errno}\0"
+            except ValueError:  # a zero byte in a name, which no file has
+                continue
+            digest.update(text.encode(errors="surrogateescape"))
     return digest.hexdigest()[:16]
 
 
 def _files(folder: Path, excluded: Path | None) -> Iterable[Path]:
-    for place, folders, names in os.walk(folder):
-        folders[:] = [name for name in folders if real(Path(place, name)) != excluded]
+    """Yield the files of a folder at any depth; folders that links lead to are looked into as well, each once."""
+    seen = {excluded, real(folder), *real(folder).parents}
+    for place, folders, names in os.walk(folder, followlinks=True):
+        for name in sorted(folders):
+            where = real(Path(place, name))
+            if where in seen:
+                folders.remove(name)
+            seen.add(where)
         yield from (Path(place, name) for name in names)
 
 

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, load, pick_device
-from lfgpu.batch.items import ERROR_FILE, PREVIEW_FILE, VIEW_FILE, Item
+from lfgpu.batch.items import ERROR_FILE, ITEM_FILES, PREVIEW_FILE, VIEW_FILE, Item
 from lfgpu.batch.manifest import DONE, FAILED
 from lfgpu.config import Config
 from lfgpu.data.mapping import forget
@@ -97,7 +97,7 @@ def work(job: Job, device: str | None = None) -> dict[str, Any]:
 
 
 def _done(job: Job, device: str | None) -> dict[str, Any]:
-    from lfgpu.io import atomic_folder
+    from lfgpu.io import RESULT_FILE, atomic_folder
     from lfgpu.pipelines.verdict import judged
 
     clock = _Clock()
@@ -114,13 +114,11 @@ def _done(job: Job, device: str | None) -> dict[str, Any]:
     scores = _scores(lf, result)
     out = Path(job.out, job.item.name)
     out.parent.mkdir(parents=True, exist_ok=True)  # other workers may create it at the same time
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, ours=ITEM_FILES, mark=RESULT_FILE) as folder:
         scale = _write(folder, lf, result)
         if job.settings.report:
             _write_report(folder, lf, result, job)
         sizes = {file.name: file.stat().st_size for file in sorted(folder.iterdir())}
-    if not job.settings.report:
-        (out / REPORT_FILE).unlink(missing_ok=True)  # that of an earlier result
     clock.lap("write")
     low, high = result.disparity_range
     return {

@@ -187,19 +187,19 @@ def _said(summary: Summary) -> str:
 
 
 def _show(console: Console, summary: Summary, out: Path, barren: list[Path]) -> None:
-    from lfgpu.batch.items import ERROR_FILE, MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE
+    from lfgpu.batch.items import ITEM_FILES, MANIFEST_FILE
     from lfgpu.batch.manifest import DONE
     from lfgpu.batch.report import facts
     from lfgpu.cli import console as shown
     from lfgpu.cli.summary import show_next, show_outputs
-    from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE
+    from lfgpu.io import REPORT_FILE
 
     shown.heading(console, out.resolve().name)
     shown.lines(console, facts(summary))
     if barren:
         more = f" and {len(barren) - _NAMED} more" if len(barren) > _NAMED else ""
         shown.lines(console, [("no light field in", ", ".join(map(str, barren[:_NAMED])) + more)])
-    files = DISPARITY_FILE, DEPTH_FILE, RESULT_FILE, VIEW_FILE, PREVIEW_FILE, ERROR_FILE
+    files = [name for name in ITEM_FILES if name != REPORT_FILE]
     show_outputs(
         console,
         out,

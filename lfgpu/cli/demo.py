@@ -29,8 +29,8 @@ def demo(
     from lfgpu.cli import summary, values
     from lfgpu.cli.console import output
     from lfgpu.cli.options import Estimation
-    from lfgpu.cli.outputs import write_outputs
-    from lfgpu.io import atomic_folder, check_writable, write_hci
+    from lfgpu.cli.outputs import NAMES, write_outputs
+    from lfgpu.io import RESULT_FILE, atomic_folder, check_writable, write_hci
     from lfgpu.methods import configured
     from lfgpu.scenes import make
 
@@ -45,7 +45,7 @@ def demo(
     summary.show_input(console, lf)
     summary.show_result(console, result, range_given=False)
     scores = summary.show_scores(console, lf, result)
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, ours=NAMES, mark=RESULT_FILE) as folder:
         write_hci(lf, folder / _LIGHT_FIELD)
         files = write_outputs(folder, result)
         _draw_overview(lf, result, scores, folder / _OVERVIEW)

@@ -74,14 +74,14 @@ def depth(
 ) -> None:
     """Estimate the disparity of one view, or of all views, and metric depth if the cameras are known.
 
-    Writes maps (.pfm), pictures (.png) and a result.npz with everything; --all-views adds disparities.npz. If anything
-    fails, no file is written.
+    Writes maps (.pfm), pictures (.png) and a result.npz with everything; --all-views adds disparities.npz. These
+    files of an earlier run are replaced or removed, others in FOLDER stay. If anything fails, no file is written.
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output, remark
-    from lfgpu.cli.outputs import check_names, write_outputs, write_saved, write_view_maps
+    from lfgpu.cli.outputs import NAMES, check_names, write_outputs, write_saved, write_view_maps
     from lfgpu.data.filling import fill_unknown, filled
-    from lfgpu.io import atomic_folder, check_writable, read
+    from lfgpu.io import RESULT_FILE, atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
     from lfgpu.pipelines.verdict import needed_views
 
@@ -111,7 +111,7 @@ def depth(
     if views:
         disparities = fill_unknown(views.disparities) if fill else views.disparities
         views = replace(views, disparities=disparities, reference=result)
-    with atomic_folder(out) as folder:
+    with atomic_folder(out, ours=NAMES, mark=RESULT_FILE) as folder:
         files = write_outputs(folder, result)
         if views:
             files += write_view_maps(folder, views)

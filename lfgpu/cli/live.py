@@ -230,11 +230,9 @@ class Record:
         self.out, self._frames, self.failed = out, [], []  # type: ignore[var-annotated]
         self.findings: tuple[str, ...] = ()
         self._references: list[str | None] = []
+        self._holds_earlier = out is not None
         if out is not None:
-            from lfgpu.io.live_maps import LOG
-
             out.mkdir(parents=True, exist_ok=True)
-            (out / LOG).unlink(missing_ok=True)  # it is of maps that are overwritten now
 
     def seen(self, frames: Frames, first: LightField) -> Frames:
         """Yield the same frames, and keep for the log what tells their reference views apart."""
@@ -259,6 +257,7 @@ class Record:
         if result.error is not None:
             self._frames.append({**frame, "error": str(result.error)})
             return
+        self._remove_earlier(self.out)
         write_live_map(self.out, result.index, result.numpy(), result.confidence())
         self._frames.append(
             {
@@ -277,6 +276,14 @@ class Record:
         self.findings = findings
         for sentence in findings:
             typer.echo(f"The cameras have moved: {sentence}", err=True)
+
+    def _remove_earlier(self, out: Path) -> None:
+        """Remove the maps and the log of an earlier run, once; a run that does not even start leaves them."""
+        from lfgpu.io.live_maps import remove_live_maps
+
+        if self._holds_earlier:
+            remove_live_maps(out)
+            self._holds_earlier = False
 
     def finish(self, stream: DepthStream, stats: dict[str, Any]) -> None:
         """Write the log."""
@@ -298,6 +305,7 @@ class Record:
             "cameras": list(self.findings),
             "frames": self._frames,
         }
+        self._remove_earlier(self.out)
         with atomic_write(self.out / LOG) as temporary:
             temporary.write_text(json.dumps(about, indent=1, allow_nan=False), encoding="utf-8")
 

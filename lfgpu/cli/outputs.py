@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, VIEWS_FILE, save, writable_format
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE, VIEWS_FILE, save, writable_format
 
 if TYPE_CHECKING:
     from lfgpu.contract import Float32Array
@@ -23,6 +23,8 @@ _MEANING = {
     DEPTH_FILE: "float32 map, metres along the optical axis",
     RESULT_FILE: "all maps and stages, parameters, versions, timings",
 }
+NAMES = (*_MEANING, VIEWS_FILE, REPORT_FILE)
+"""The names of all files that a run may write by itself; those of an earlier run that a new one lacks are removed."""
 
 
 def write_outputs(folder: Path, result: DepthResult) -> list[tuple[str, str]]:
@@ -56,7 +58,7 @@ def check_names(option: str, names: Sequence[str]) -> None:
             raise LightFieldError(
                 f"{option} must be a file name without folders, not {name!r}; the file goes into the folder of -o."
             )
-        if name.lower() in (*_MEANING, VIEWS_FILE):
+        if name.lower() in NAMES:
             raise LightFieldError(
                 f"{option} must not be {name!r}, because another output has that name; choose another name."
             )

@@ -8,7 +8,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Container, Iterator
+from collections.abc import Collection, Container, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -43,11 +43,14 @@ def atomic_write(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
+def atomic_folder(
+    out: str | os.PathLike[str], *, ours: Collection[str] = (), mark: str | None = None
+) -> Iterator[Path]:
     """Yield an empty temporary folder to write files to; it becomes `out` when the block ends without an exception.
 
-    If `out` is there already, each file is moved into it, over a file of the same name; its other files stay. Otherwise
-    as `atomic_write`.
+    If `out` is there already, each file is moved into it, over a file of the same name; its other files stay. But if
+    `out` holds a file `mark`, which tells that an earlier run wrote there, files of names that are `ours` and that the
+    block did not write are removed after that. Otherwise as `atomic_write`.
     """
     target = _resolved(out)
     # A folder that is there may be a mount point, or writable when its parent is not: then staging happens inside it.
@@ -58,14 +61,14 @@ def atomic_folder(out: str | os.PathLike[str]) -> Iterator[Path]:
         temporary.mkdir()
         yield temporary
         if exists:
-            _move_files(temporary, target)
+            _move_files(temporary, target, ours, mark)
             return
         try:
             temporary.rename(target)
         except OSError:
             if not target.is_dir():
                 raise
-            _move_files(temporary, target)  # another process has made it meanwhile
+            _move_files(temporary, target, ours, mark)  # another process has made it meanwhile
 
 
 def check_no_others(out: str | os.PathLike[str], new: Container[str], ours: re.Pattern[str]) -> None:
@@ -170,7 +173,9 @@ def _locked(folder: Path) -> int:
     return descriptor
 
 
-def _move_files(source: Path, target: Path) -> None:
+def _move_files(source: Path, target: Path, ours: Collection[str], mark: str | None) -> None:
+    new = {path.name for path in source.iterdir()}
+    old = [target / name for name in ours if name not in new] if mark and (target / mark).is_file() else []
     for path in source.rglob("*"):  # all or nothing: what stands in the way is found before the first move
         place = target / path.relative_to(source)
         if place.exists() and place.is_dir() != path.is_dir():
@@ -180,6 +185,9 @@ def _move_files(source: Path, target: Path) -> None:
         destination.mkdir(exist_ok=True)
         for file in files:
             Path(folder, file).replace(destination / file)
+    for path in old:
+        if path.is_file() or path.is_symlink():
+            path.unlink()
 
 
 def _exists(path: Path) -> bool:

@@ -42,6 +42,7 @@ _KEYS = {
     "source": {"path", "format", *_TOLD},
     "views": {"file", "position", "valid"},
 }
+_NAMING = ("file", "valid", "disparity", "mask", "path")  # those of them that are names of files
 
 
 def recognise(path: Path) -> str | None:
@@ -74,6 +75,21 @@ def read_description(
         else:
             light_field = _of_files(file, listed)
         return replace(light_field, **_rest(file, table))
+
+
+def named_by(path: Path) -> list[Path]:
+    """Return the files and folders that a description names, there or not; none for all that is not a description."""
+    try:
+        if recognise(path) is None:
+            return []
+        file = path / DEFAULT_NAME if path.is_dir() else path
+        table = _table(read_json_or_toml(file), "")
+        tables = _listed_views(table.get("views"))
+        tables += [_table(table[kind], kind) for kind in ("truth", "source") if kind in table]
+    except (LightFieldError, OSError):  # whoever reads it says what is wrong
+        return []
+    names = [part[key] for part in tables for key in _NAMING if key in part]
+    return [file.parent / name for name in names if isinstance(name, str)]
 
 
 def write_description(light_field: LightField, path: str | os.PathLike[str], *, source: Mapping[str, Any]) -> None:

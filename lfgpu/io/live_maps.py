@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -34,6 +35,16 @@ def write_live_map(folder: Path, number: int, disparity: NDArray[np.float32], co
     """Write the map of a frame."""
     for name, values in ((_DISPARITY, disparity), (_CONFIDENCE, confidence)):
         write_pfm(folder / name.format(number), values)
+
+
+def remove_live_maps(folder: Path) -> None:
+    """Remove the log of an earlier run, and before it the maps that it names."""
+    with suppress(LightFieldError):  # without a log nobody knows whose files they are
+        for number, _, has_map in LiveMaps.of(folder).frames:
+            for name in (_DISPARITY, _CONFIDENCE) if has_map else ():
+                if (path := folder / name.format(number)).is_file():
+                    path.unlink()
+    (folder / LOG).unlink(missing_ok=True)
 
 
 @dataclass(frozen=True)

@@ -196,6 +196,23 @@ def test_places_without_permission(tmp_path: Path) -> None:
         closed.chmod(0o700)
 
 
+def test_files_of_an_earlier_run_go_where_its_mark_is(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    for new in (("a.txt",), ("b.txt", "mark")):
+        out.mkdir(exist_ok=True)
+        (out / "mine.txt").write_text("mine")
+        with atomic_folder(out, ours=("a.txt", "b.txt", "mark"), mark="mark") as folder:
+            for name in new:
+                (folder / name).write_text("new")
+    assert {path.name for path in out.iterdir()} == {"a.txt", "b.txt", "mark", "mine.txt"}  # a.txt may be of others
+    with pytest.raises(KeyboardInterrupt):
+        interrupted(atomic_folder(out, ours=("a.txt", "b.txt", "mark"), mark="mark"), KeyboardInterrupt())
+    assert len(list(out.iterdir())) == 4
+    with atomic_folder(out, ours=("a.txt", "b.txt", "mark"), mark="mark") as folder:
+        (folder / "mark").write_text("new")
+    assert {path.name for path in out.iterdir()} == {"mark", "mine.txt"}
+
+
 def test_a_folder_in_the_way_of_one_file_leaves_all_files_as_they_were(tmp_path: Path) -> None:
     out = tmp_path / "out"
     (out / "b.txt").mkdir(parents=True)
