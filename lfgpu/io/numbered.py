@@ -183,6 +183,9 @@ def _found(path: Path, pattern: str | None = None, kind: str | None = None) -> _
     many = [k for k in kinds if k is not chosen and len(k) > 1]
     rivals = [k for k in many if len(k) > _OTHERS * len(chosen) or k[0].file.parent not in folders]
     left_out = tuple(file for file in own if file not in mine)
+    others = {name.file for k in kinds for name in k} - mine
+    if not rivals and len(others) >= len(mine):
+        return _Found(path, understood(chosen), left_out, min(others))
     if not rivals:
         return _Found(path, understood(chosen), left_out, None)
     alike = {name.numbers for name in rivals[0]} == {name.numbers for name in chosen}
