@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lfgpu.io import parallax
-from lfgpu.io.naming import BESIDE, CAMERA, COLUMN, EXPOSURE, ROW, SIDE, TIME, UNKNOWN, Naming
+from lfgpu.io.naming import BESIDE, CAMERA, COLUMN, EXPOSURE, ROW, SIDE, TIME, UNKNOWN, Naming, Number
 
 LOOKED_AT = 64  # pictures that are compared to see how their cameras stood
 
@@ -93,4 +93,20 @@ def beside(path: Path, naming: Naming, row: int, column: int) -> str:
         f"{naming.files[0].name} are rows and columns, which count from {row} and from {column}: add them, or pass "
         f'allow_missing=True (--allow-missing), or say --pattern "{naming.pattern()}" if there are no others. If they '
         f'are cameras and times, say --pattern "{times}" (pattern= in Python).'
+    )
+
+
+def joined(path: Path, naming: Naming, number: Number) -> str | None:
+    """Ask whether the digits of one number are a row and a column: "img11" to "img55"; None if they make no grid."""
+    at = next(place for place, other in enumerate(naming.numbers) if other is number)
+    digits = {name.digits[at] for name in naming.names}
+    rows, columns = {text[0] for text in digits}, {text[-1] for text in digits}
+    two = all(len(text) == 2 for text in digits) and min(number.values) >= 0
+    if "pattern" in number.why or not two or min(len(rows), len(columns)) < 2 or len(digits) < len(rows) * len(columns):
+        return None
+    return (
+        f"{path} has images numbered from {min(digits)} to {max(digits)} with gaps, whose digits make a full grid of "
+        f"{len(rows)} x {len(columns)}: if these are row and column, say --pattern "
+        f'"{naming.pattern({at: "v}{u"})}" (pattern= in Python); if they are a row that lacks views, say --pattern '
+        f'"{naming.pattern({at: "n"})}" and --allow-missing.'
     )
