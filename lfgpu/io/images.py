@@ -20,6 +20,7 @@ from lfgpu.io.tiff_pages import check_pages
 
 ALPHA_DROPPED = "alpha channel dropped"
 LINEAR = "linear colours brought to sRGB and cut off at white"
+UNKNOWN = "pixels that are NaN or infinite taken for transparent"
 TURNED = "turned upright as its EXIF orientation says"
 INVERTED = "inverted, as it is stored with white as 0"
 FLOAT64_ROUNDED = "float64 values rounded to float32"
@@ -53,7 +54,7 @@ def read_view(
 
     Returns the image [y, x, c], c = 1 or 3, uint8, uint16 or float32, palettes as colours; bool [y, x], False where it
     is more transparent than not, None without transparency; and what was converted: `TURNED`, `INVERTED`, `LINEAR`,
-    `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused.
+    `UNKNOWN`, `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused, but for OpenEXR.
     """
     path = Path(path)
     with read_as(path, "an image"):
@@ -105,7 +106,8 @@ def image_size(path: Path) -> tuple[int, int] | None:
 def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
     """Decode an image file to [y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
     if path.suffix.lower() == ".exr":
-        return read_picture(path), {LINEAR}
+        picture, unknown = read_picture(path)
+        return picture, {LINEAR, UNKNOWN} if unknown else {LINEAR}
     try:
         with pillow.opened(path) as image:
             turn = _UPRIGHT.get(_orientation(image))

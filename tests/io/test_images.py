@@ -327,6 +327,31 @@ def test_undefined_values_are_refused_by_file_name(tmp_path: Path, bad: float) -
     assert "0_1.tif has NaN or infinite values" in refusal(lambda: read(tmp_path))
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("channels", ["RGB", "RGBA", "Y"])
+def test_undefined_values_of_openexr_are_not_valid(tmp_path: Path, channels: str, bad: float) -> None:
+    exr = pytest.importorskip("OpenEXR")
+
+    def save_exr(column: int, *wrong: Any) -> None:
+        planes = {c: picture(ord(c) + column, 1, np.float32)[..., 0].copy() for c in channels}
+        planes |= {"A": np.ones((HEIGHT, WIDTH), np.float32)} if "A" in channels else {}
+        planes[channels[0]][wrong] = bad
+        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, planes) as file:
+            file.write(str(tmp_path / f"0_{column}.exr"))
+
+    save_exr(0, [], [])
+    save_exr(1, 2, 3)
+    light_field = read(tmp_path)
+    assert np.argwhere(~light_field.valid).tolist() == [[1, 2, 3]]
+    assert light_field.notes[-2:] == (
+        "Pixels that are NaN or infinite taken for transparent in 1 of 2 views.",
+        "Transparent pixels are not valid: 2.5 %.",
+    )
+    assert read_image(tmp_path / "0_1.exr")[0][0, 0].min() > 0
+    save_exr(1, ...)
+    assert "0_1.exr has no pixel whose values are all finite numbers" in refusal(lambda: read(tmp_path))
+
+
 def test_other_kinds_of_values_are_refused(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((3, 3), np.int32)).save(tmp_path / "a.tif")
     assert "a.tif has 32-bit integers" in refusal(lambda: read_image(tmp_path / "a.tif"))
