@@ -16,7 +16,7 @@ from lfgpu.io import pillow
 from lfgpu.io.damage import check_claim, check_fetched, read_as
 from lfgpu.io.exr import read_picture
 from lfgpu.io.png import decode_fast
-from lfgpu.io.tiff_pages import check_pages
+from lfgpu.io.tiff_pages import check_pages, further_pictures
 
 ALPHA_DROPPED = "alpha channel dropped"
 LINEAR = "linear colours brought to sRGB and cut off at white"
@@ -121,6 +121,11 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
+                if isinstance(image, TiffImageFile) and (others := further_pictures(path)):
+                    raise LightFieldError(
+                        f"{path} has {1 + others} pages of one size, but a view is one page: save the page that is the "
+                        "view alone, or as one page of RGB if the pages are its colours."
+                    )
                 pixels = _pixels(path, image)
                 if inverted:
                     pixels = _inverted(pixels)

@@ -352,6 +352,25 @@ def test_undefined_values_of_openexr_are_not_valid(tmp_path: Path, channels: str
     assert "0_1.exr has no pixel whose values are all finite numbers" in refusal(lambda: read(tmp_path))
 
 
+@pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"byteorder": ">"}])
+def test_further_pages_are_not_dropped(tmp_path: Path, options: dict[str, Any]) -> None:
+    tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
+    planes = np.moveaxis(picture(), 2, 0)
+    for column in range(2):
+        tifffile.imwrite(tmp_path / f"0_{column}.tif", planes, photometric="minisblack", **options)
+    assert "0_0.tif has 3 pages of one size, but a view is one page" in refusal(lambda: read(tmp_path))
+
+
+def test_copies_and_masks_in_further_pages_are_passed_over(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(picture(), photometric="rgb")
+        file.write(picture(1), photometric="rgb", subfiletype=1)
+        file.write(picture(2)[..., 0] > 99, photometric="mask", subfiletype=4)
+        file.write(picture(3)[::2, ::2], photometric="rgb")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif")[0], picture())
+
+
 def test_other_kinds_of_values_are_refused(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((3, 3), np.int32)).save(tmp_path / "a.tif")
     assert "a.tif has 32-bit integers" in refusal(lambda: read_image(tmp_path / "a.tif"))
