@@ -170,7 +170,8 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if image.mode == "I" and image.format in ("PNG", "PPM"):  # Pillow gives 16-bit grey in 32 bits
         return np.asarray(image).astype(np.uint16)
     if image.mode not in ("L", "LA", "RGB", "RGBA", "I;16", "I;16L", "I;16B", "F"):
-        kind = "32-bit integers" if image.mode == "I" else f"colour mode {image.mode}"
+        bits = "signed 16" if "16" in _raw_mode(image) else "32"
+        kind = f"{bits}-bit integers" if image.mode == "I" else f"colour mode {image.mode}"
         raise LightFieldError(f"{path} has {kind}; views must be grey or RGB of 8 or 16 bits or float32: convert it.")
     if image.mode in ("RGB", "RGBA") and (raw := _raw_mode(image)).endswith(tuple(_OTHER_BYTE)):
         return _sixteen_bit_colour(path, image, raw)

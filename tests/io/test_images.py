@@ -374,6 +374,9 @@ def test_copies_and_masks_in_further_pages_are_passed_over(tmp_path: Path) -> No
 def test_other_kinds_of_values_are_refused(tmp_path: Path) -> None:
     Image.fromarray(np.zeros((3, 3), np.int32)).save(tmp_path / "a.tif")
     assert "a.tif has 32-bit integers" in refusal(lambda: read_image(tmp_path / "a.tif"))
+    for order in "<>":
+        (tmp_path / "a.tif").write_bytes(tiff_bytes(picture(0, 1, np.int16), sample_format=2, order=order))
+        assert "a.tif has signed 16-bit integers" in refusal(lambda: read_image(tmp_path / "a.tif"))
     Image.fromarray(picture()).convert("CMYK").save(tmp_path / "a.jpg")
     assert "a.jpg has colour mode CMYK" in refusal(lambda: read_image(tmp_path / "a.jpg"))
 
