@@ -21,6 +21,14 @@ def rivals(path: Path, naming: Naming, other: Path, *, alike: bool) -> str:
     if what == "folders":
         folders = f"{mine.parent.name}, {other.parent.name}"
         return f"{path} has several folders with numbered images ({folders}); give one.{times}"
+    unlike = [a + b for a, b in zip(mine.name, other.name, strict=False) if a != b]
+    by_letter = len(mine.name) == len(other.name) and len(unlike) == 1 and unlike[0].isalpha()
+    if alike and by_letter and len(sides) > 1:
+        return (
+            f"{path} has images whose names differ by a letter, such as {mine.name} and {other.name}: if letters count "
+            "rows, columns or cameras, put numbers for them, such as row1_col1 or cam1_frame1; if they are kinds of "
+            f'pictures, say which are the views with --pattern "{naming.pattern()}" (pattern= in Python).'
+        )
     return (
         f"{path} has images named in different ways: {mine.name} and {other.name}; say which are the views with "
         f'--pattern "{naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.{times}'

@@ -203,6 +203,16 @@ def test_what_is_named_otherwise(tmp_path: Path) -> None:
     assert len(read(tmp_path, pattern="cam{n}.png").views) == 5
 
 
+@pytest.mark.parametrize("name", ["{letter}{number}.png", "img_{number}{letter}.png", "row{letter}_{number}.png"])
+def test_letters_that_may_be_rows_are_asked_about(name: str, tmp_path: Path) -> None:
+    for place in range(9):
+        save(tmp_path / name.format(letter="ABC"[place // 3], number=place % 3 + 1), picture(place))
+    first, other = (name.format(letter=letter, number=1) for letter in "AB")
+    text = asked(tmp_path)
+    assert f"names differ by a letter, such as {first} and {other}: if letters count rows, columns or" in text
+    assert f'--pattern "{name.format(letter="A", number="{n}")}"' in text
+
+
 def test_exposures_are_chosen(tmp_path: Path) -> None:
     for number in range(3):
         for exposure in (10, 100):
