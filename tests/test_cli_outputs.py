@@ -57,13 +57,13 @@ def test_maps_of_all_views_are_scored(recorded: Path, solved: Path) -> None:
 def test_outputs_of_an_earlier_run_go_and_other_files_stay(recorded: Path, loose: Path, tmp_path: Path) -> None:
     out, last = tmp_path / "out", tmp_path / "last"
     fast = ("--preset", "fast", *RANGE, "-q")
-    run("depth", recorded, "-o", out, "--all-views", "--report", "--save", "mine.tif", *fast)
+    said("depth", recorded, "-o", out, "--all-views", "--report", "--save", "mine.tif", *fast)
     names = {path.name for path in out.iterdir()}
     assert {"depth.pfm", "disparities.npz", "report.html"} < names
-    refused("no view", "depth", loose, *READ, "-o", out, "--reference-view", "9,9", *fast)
+    refused(lfgpu("depth", loose, *READ, "-o", out, "--reference-view", "9,9", *fast), "no view")
     assert {path.name for path in out.iterdir()} == names
     for folder in (out, last):
-        run("depth", loose, *READ, "-o", folder, *fast)
+        said("depth", loose, *READ, "-o", folder, *fast)
     assert {path.name for path in out.iterdir()} == {*(path.name for path in last.iterdir()), "mine.tif"}
 
 

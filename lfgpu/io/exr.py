@@ -57,11 +57,12 @@ def channel(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np
     return None
 
 
-def read_picture(path: Path) -> NDArray[np.uint16]:
+def read_picture(path: Path) -> tuple[NDArray[np.uint16], bool]:
     """Return the colours of an OpenEXR file, linear on [0, 1], by the transfer function of sRGB (IEC 61966-2-1).
 
-    [y, x, c], c = 1 (Y), 3 (R, G, B), and one more for its alpha A, which stays linear. What is brighter than white is
-    cut off. LightFieldError as `read_channels`, or if it has no such channels.
+    [y, x, c], c = 1 (Y), 3 (R, G, B), and one more for its alpha A, which stays linear, and whether some pixels are NaN
+    or infinite: these are transparent, with an alpha of 0. What is brighter than white is cut off. LightFieldError as
+    `read_channels`, or if it has no such channels, or no finite pixel.
     """
     channels, _ = read_channels(path)
     planes = [channel(channels, name) for name in "RGB"]
@@ -71,11 +72,16 @@ def read_picture(path: Path) -> NDArray[np.uint16]:
         raise LightFieldError(f"{path} has no channels R, G and B; it has {', '.join(list(channels)[:8]) or 'none'}.")
     alpha = channel(channels, "A")
     values = np.stack([plane for plane in (*planes, alpha) if plane is not None], axis=-1)
-    linear = np.clip(np.nan_to_num(values, nan=0.0), 0.0, 1.0)
+    known = np.asarray(np.isfinite(values).all(axis=-1))
+    if not known.any():
+        raise LightFieldError(f"{path} has no pixel whose values are all finite numbers; render it again.")
+    if alpha is None and not known.all():
+        values = np.concatenate([values, np.ones_like(values[..., :1])], axis=-1)
+    linear = np.clip(np.where(known[..., None], values, 0.0), 0.0, 1.0)
     coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    if alpha is not None:
+    if values.shape[-1] in (2, 4):
         coded[..., -1] = linear[..., -1]
-    return np.rint(coded * 65535).astype(np.uint16)
+    return np.rint(coded * 65535).astype(np.uint16), not bool(known.all())
 
 
 @contextmanager

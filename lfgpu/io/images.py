@@ -16,10 +16,11 @@ from lfgpu.io import pillow
 from lfgpu.io.damage import check_claim, check_fetched, read_as
 from lfgpu.io.exr import read_picture
 from lfgpu.io.png import decode_fast
-from lfgpu.io.tiff_pages import check_pages
+from lfgpu.io.tiff_pages import check_pages, further_pictures
 
 ALPHA_DROPPED = "alpha channel dropped"
 LINEAR = "linear colours brought to sRGB and cut off at white"
+UNKNOWN = "pixels that are NaN or infinite taken for transparent"
 TURNED = "turned upright as its EXIF orientation says"
 INVERTED = "inverted, as it is stored with white as 0"
 FLOAT64_ROUNDED = "float64 values rounded to float32"
@@ -53,7 +54,7 @@ def read_view(
 
     Returns the image [y, x, c], c = 1 or 3, uint8, uint16 or float32, palettes as colours; bool [y, x], False where it
     is more transparent than not, None without transparency; and what was converted: `TURNED`, `INVERTED`, `LINEAR`,
-    `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused.
+    `UNKNOWN`, `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused, but for OpenEXR.
     """
     path = Path(path)
     with read_as(path, "an image"):
@@ -105,7 +106,8 @@ def image_size(path: Path) -> tuple[int, int] | None:
 def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
     """Decode an image file to [y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
     if path.suffix.lower() == ".exr":
-        return read_picture(path), {LINEAR}
+        picture, unknown = read_picture(path)
+        return picture, {LINEAR, UNKNOWN} if unknown else {LINEAR}
     try:
         with pillow.opened(path) as image:
             turn = _UPRIGHT.get(_orientation(image))
@@ -119,6 +121,11 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
+                if isinstance(image, TiffImageFile) and (others := further_pictures(path)):
+                    raise LightFieldError(
+                        f"{path} has {1 + others} pages of one size, but a view is one page: save the page that is the "
+                        "view alone, or as one page of RGB if the pages are its colours."
+                    )
                 pixels = _pixels(path, image)
                 if inverted:
                     pixels = _inverted(pixels)
@@ -163,7 +170,8 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if image.mode == "I" and image.format in ("PNG", "PPM"):  # Pillow gives 16-bit grey in 32 bits
         return np.asarray(image).astype(np.uint16)
     if image.mode not in ("L", "LA", "RGB", "RGBA", "I;16", "I;16L", "I;16B", "F"):
-        kind = "32-bit integers" if image.mode == "I" else f"colour mode {image.mode}"
+        bits = "signed 16" if "16" in _raw_mode(image) else "32"
+        kind = f"{bits}-bit integers" if image.mode == "I" else f"colour mode {image.mode}"
         raise LightFieldError(f"{path} has {kind}; views must be grey or RGB of 8 or 16 bits or float32: convert it.")
     if image.mode in ("RGB", "RGBA") and (raw := _raw_mode(image)).endswith(tuple(_OTHER_BYTE)):
         return _sixteen_bit_colour(path, image, raw)

@@ -2,7 +2,7 @@
 
 import re
 from collections import defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import accumulate
@@ -31,7 +31,7 @@ _SHORT = {ROW: "v", COLUMN: "u", CAMERA: "n", TIME: "t", EXPOSURE: "exposure"}
 """The names that are proposed."""
 
 _WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+")
-_SIGN = re.compile(r"(.*?(?:^|[^0-9A-Za-z+-]))([+-])", re.DOTALL)  # at the end of what stands before a number
+_SIGN = re.compile(r"(?:.*[^0-9A-Za-z+-])?[+-]", re.DOTALL)  # at the end of what stands before a number
 _PLACE_DIGITS = 3  # rows and columns without words have no more
 _LONGEST = 18  # digits; no longer number is taken for one
 _NO_PLACE = 10  # digits of seconds since 1970; no place has so many
@@ -112,14 +112,25 @@ def values(numbers: Sequence[Number]) -> list[tuple[int, ...]]:
     return list(zip(*(number.values for number in numbers), strict=True))
 
 
-def _signed(name: Name) -> Name:
-    """Return the same name if the characters before its numbers are signs of them."""
+def _signed(name: Name, words: Collection[str] | None = None) -> Name:
+    """Return the same name if the characters before its numbers are signs of them; only right after `words`, if any."""
     texts, numbers = list(name.texts), list(name.numbers)
-    for place in range(len(numbers)):
-        # A sign follows something else than the number before it: "1_-2", but not "1-2".
-        if (place == 0 or len(texts[place]) > 1) and (match := _SIGN.fullmatch(texts[place])):
-            texts[place], numbers[place] = match[1], -numbers[place] if match[2] == "-" else numbers[place]
+    for place, text in enumerate(texts[:-1]):
+        if words is not None:
+            signed = text[-1:] in ("+", "-") and text[:-1].casefold() in words
+        else:  # A sign follows something else than the number before it: "1_-2", but not "1-2".
+            signed = (place == 0 or len(text) > 1) and _SIGN.fullmatch(text) is not None
+        if signed:
+            texts[place], numbers[place] = text[:-1], -numbers[place] if text[-1] == "-" else numbers[place]
     return Name(name.file, tuple(texts), name.digits, tuple(numbers))
+
+
+def _through_zero(names: Iterable[Name]) -> set[str]:
+    """Find what ends in a letter and stands before 0 and before a minus: a sign there, unless -0 is written."""
+    before = [(text.casefold(), n) for name in names for text, n in zip(name.texts, name.numbers, strict=False)]
+    zeros, texts = {text for text, number in before if number == 0}, {text for text, _ in before}
+    words = {text.removesuffix("+") for text in zeros}
+    return {word for word in words if word[-1:].isalpha() and f"{word}-" in texts - zeros}
 
 
 def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
@@ -130,8 +141,11 @@ def families(files: Iterable[Path], folder: Path) -> list[list[Name]]:
         parts = re.split(r"([0-9]+)", file.relative_to(folder).with_suffix("").as_posix())
         if digits := tuple(parts[1::2]):
             plain.append(Name(file, tuple(parts[::2]), digits, tuple(int(text[:_LONGEST]) for text in digits)))
+    words = _through_zero(plain)
+    plain = [_signed(name, words) for name in plain]
     signed = [_signed(name) for name in plain]
-    below = {place for name in signed for place, number in enumerate(name.numbers) if number < 0}
+    pairs = list(zip(plain, signed, strict=True))
+    below = {k for name, other in pairs for k, number in enumerate(other.numbers) if number < name.numbers[k]}
     # A minus alone may as well be a hyphen: "view_-01_-02".
     above = all(any(len(n.numbers) > place and n.numbers[place] > 0 for n in signed) for place in below)
     if below and (any("+" in name.file.stem for name in plain) or above):

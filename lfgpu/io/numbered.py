@@ -26,7 +26,7 @@ from lfgpu.io.naming import (
     understood,
     values,
 )
-from lfgpu.io.questions import LOOKED_AT, beside, question, rivals
+from lfgpu.io.questions import LOOKED_AT, beside, joined, question, rivals
 
 _MOST = 10_000  # places of a row
 _OTHERS = 0.5  # of the pictures named alike: so many named otherwise may as well be the views
@@ -183,6 +183,9 @@ def _found(path: Path, pattern: str | None = None, kind: str | None = None) -> _
     many = [k for k in kinds if k is not chosen and len(k) > 1]
     rivals = [k for k in many if len(k) > _OTHERS * len(chosen) or k[0].file.parent not in folders]
     left_out = tuple(file for file in own if file not in mine)
+    others = {name.file for k in kinds for name in k} - mine
+    if not rivals and len(others) >= len(mine):
+        return _Found(path, understood(chosen), left_out, min(others))
     if not rivals:
         return _Found(path, understood(chosen), left_out, None)
     alike = {name.numbers for name in rivals[0]} == {name.numbers for name in chosen}
@@ -312,6 +315,9 @@ def _read_row(
     step = math.gcd(*(value - first for value, _ in views)) or 1
     if (last_number - first) // step >= _MOST:
         raise LightFieldError(f"{path} has images numbered from {first} to {last_number}; that is no row of cameras.")
+    gaps = (last_number - first) // step + 1 > len(views)
+    if gaps and number.meaning == CAMERA and (asked := joined(path, naming, number)) is not None:
+        raise LightFieldError(asked)
     chosen = [((value - first) // step, file) for value, file in views]
     if every is not None:
         chosen = [(place // every, file) for place, file in chosen if place % every == 0]
@@ -333,6 +339,11 @@ def _read_row(
         shape, because = _shape(path, [file for _, file in chosen], count, down=down)
         why += f"; {because}"
     else:
+        if len(chosen) < count != math.prod(grid):
+            raise LightFieldError(
+                f"{path} has {len(chosen)} views, whose numbers from {first} to {last_number} count {count} places, "
+                f"but a grid of {grid[0]} x {grid[1]} has {math.prod(grid)}: number the views of the grid row by row."
+            )
         shape = grid_shape(path, count, grid)
         why += f"; the grid of {shape[0]} x {shape[1]} is as told, row by row"
     places = by_place((divmod(place, shape[1]), file) for place, file in chosen)

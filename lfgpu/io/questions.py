@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from lfgpu.io import parallax
-from lfgpu.io.naming import BESIDE, CAMERA, COLUMN, EXPOSURE, ROW, SIDE, TIME, UNKNOWN, Naming
+from lfgpu.io.naming import BESIDE, CAMERA, COLUMN, EXPOSURE, ROW, SIDE, TIME, UNKNOWN, Naming, Number
 
 LOOKED_AT = 64  # pictures that are compared to see how their cameras stood
 
@@ -21,6 +21,14 @@ def rivals(path: Path, naming: Naming, other: Path, *, alike: bool) -> str:
     if what == "folders":
         folders = f"{mine.parent.name}, {other.parent.name}"
         return f"{path} has several folders with numbered images ({folders}); give one.{times}"
+    unlike = [a + b for a, b in zip(mine.name, other.name, strict=False) if a != b]
+    by_letter = len(mine.name) == len(other.name) and len(unlike) == 1 and unlike[0].isalpha()
+    if alike and by_letter and len(sides) > 1:
+        return (
+            f"{path} has images whose names differ by a letter, such as {mine.name} and {other.name}: if letters count "
+            "rows, columns or cameras, put numbers for them, such as row1_col1 or cam1_frame1; if they are kinds of "
+            f'pictures, say which are the views with --pattern "{naming.pattern()}" (pattern= in Python).'
+        )
     return (
         f"{path} has images named in different ways: {mine.name} and {other.name}; say which are the views with "
         f'--pattern "{naming.pattern()}" (pattern= in Python), or move what is no view elsewhere.{times}'
@@ -93,4 +101,20 @@ def beside(path: Path, naming: Naming, row: int, column: int) -> str:
         f"{naming.files[0].name} are rows and columns, which count from {row} and from {column}: add them, or pass "
         f'allow_missing=True (--allow-missing), or say --pattern "{naming.pattern()}" if there are no others. If they '
         f'are cameras and times, say --pattern "{times}" (pattern= in Python).'
+    )
+
+
+def joined(path: Path, naming: Naming, number: Number) -> str | None:
+    """Ask whether the digits of one number are a row and a column: "img11" to "img55"; None if they make no grid."""
+    at = next(place for place, other in enumerate(naming.numbers) if other is number)
+    digits = {name.digits[at] for name in naming.names}
+    rows, columns = {text[0] for text in digits}, {text[-1] for text in digits}
+    two = all(len(text) == 2 for text in digits) and min(number.values) >= 0
+    if "pattern" in number.why or not two or min(len(rows), len(columns)) < 2 or len(digits) < len(rows) * len(columns):
+        return None
+    return (
+        f"{path} has images numbered from {min(digits)} to {max(digits)} with gaps, whose digits make a full grid of "
+        f"{len(rows)} x {len(columns)}: if these are row and column, say --pattern "
+        f'"{naming.pattern({at: "v}{u"})}" (pattern= in Python); if they are a row that lacks views, say --pattern '
+        f'"{naming.pattern({at: "n"})}" and --allow-missing.'
     )

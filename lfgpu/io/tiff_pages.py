@@ -2,12 +2,16 @@
 
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
 
 _MOST = 100_000  # pages; no light field has as many views
 _KINDS = {42: ("I", "H", 12), 43: ("Q", "Q", 20)}  # by version: how offsets and counts are stored, bytes of an entry
+_WHOLE = {3: "H", 4: "I", 16: "Q"}  # types of whole numbers
+_KIND, _WIDTH, _HEIGHT = 254, 256, 257  # tags
+_NO_PICTURE = 1 | 4  # bits of the kind of a page: a smaller copy, a mask
 
 
 def pages(path: Path) -> Iterator[int]:
@@ -44,3 +48,28 @@ def check_pages(path: Path) -> None:
     """Raise LightFieldError unless the chain of pages ends."""
     for _ in pages(path):
         pass
+
+
+def further_pictures(path: Path) -> int:
+    """Count the pages after the first that are as large as it, and neither smaller copies of it nor masks."""
+    found: list[dict[int, int]] = []
+    with suppress(LightFieldError):  # linked in a circle: those before it
+        found.extend(_numbers(path, offset) for offset in pages(path))
+    tags = [(page.get(_WIDTH), page.get(_HEIGHT), page.get(_KIND, 0) & _NO_PICTURE) for page in found]
+    return tags[1:].count((*tags[0][:2], 0)) if tags else 0
+
+
+def _numbers(path: Path, at: int) -> dict[int, int]:
+    """Read the tags of a page that are one whole number, up to where it is damaged."""
+    found: dict[int, int] = {}
+    with path.open("rb") as file, suppress(struct.error, OSError, OverflowError, ValueError):
+        start = file.read(4)
+        order = "<" if start[:2] == b"II" else ">"
+        link, count, size = _KINDS[struct.unpack(f"{order}H", start[2:])[0]]
+        file.seek(at)
+        for _ in range(struct.unpack(order + count, file.read(struct.calcsize(order + count)))[0]):
+            entry = file.read(size)
+            tag, kind, values = struct.unpack_from(f"{order}HH{link}", entry)
+            if kind in _WHOLE and values == 1:
+                found[tag] = struct.unpack_from(order + _WHOLE[kind], entry, struct.calcsize(f"{order}HH{link}"))[0]
+    return found

@@ -276,6 +276,50 @@ def test_undefined_values_are_refused_by_file_name(tmp_path: Path, bad: float) -
     assert "0_1.tif has NaN or infinite values" in refusal(lambda: read(tmp_path))
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("channels", ["RGB", "RGBA", "Y"])
+def test_undefined_values_of_openexr_are_not_valid(tmp_path: Path, channels: str, bad: float) -> None:
+    exr = pytest.importorskip("OpenEXR")
+
+    def save_exr(column: int, *wrong: Any) -> None:
+        planes = {c: picture(ord(c) + column, 1, np.float32)[..., 0].copy() for c in channels}
+        planes |= {"A": np.ones((HEIGHT, WIDTH), np.float32)} if "A" in channels else {}
+        planes[channels[0]][wrong] = bad
+        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, planes) as file:
+            file.write(str(tmp_path / f"0_{column}.exr"))
+
+    save_exr(0, [], [])
+    save_exr(1, 2, 3)
+    light_field = read(tmp_path)
+    assert np.argwhere(~light_field.valid).tolist() == [[1, 2, 3]]
+    assert light_field.notes[-2:] == (
+        "Pixels that are NaN or infinite taken for transparent in 1 of 2 views.",
+        "Transparent pixels are not valid: 2.5 %.",
+    )
+    assert read_image(tmp_path / "0_1.exr")[0][0, 0].min() > 0
+    save_exr(1, ...)
+    assert "0_1.exr has no pixel whose values are all finite numbers" in refusal(lambda: read(tmp_path))
+
+
+@pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"byteorder": ">"}])
+def test_further_pages_are_not_dropped(tmp_path: Path, options: dict[str, Any]) -> None:
+    tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
+    planes = np.moveaxis(picture(), 2, 0)
+    for column in range(2):
+        tifffile.imwrite(tmp_path / f"0_{column}.tif", planes, photometric="minisblack", **options)
+    assert "0_0.tif has 3 pages of one size, but a view is one page" in refusal(lambda: read(tmp_path))
+
+
+def test_copies_and_masks_in_further_pages_are_passed_over(tmp_path: Path) -> None:
+    tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
+    with tifffile.TiffWriter(tmp_path / "a.tif") as file:
+        file.write(picture(), photometric="rgb")
+        file.write(picture(1), photometric="rgb", subfiletype=1)
+        file.write(picture(2)[..., 0] > 99, photometric="mask", subfiletype=4)
+        file.write(picture(3)[::2, ::2], photometric="rgb")
+    np.testing.assert_array_equal(read_image(tmp_path / "a.tif")[0], picture())
+
+
 def test_kinds_of_pictures_that_are_refused(tmp_path: Path) -> None:
     """Among them PPM of 16-bit colour, of which Pillow keeps half."""
     first, second = (Image.fromarray(picture(seed)) for seed in range(2))
@@ -293,6 +337,9 @@ def test_kinds_of_pictures_that_are_refused(tmp_path: Path) -> None:
         "a.jpg": "has colour mode CMYK",
     }.items():
         assert f"{name} {words}" in refusal(lambda name=name: read_image(tmp_path / name))
+    for order in "<>":
+        (tmp_path / "b.tif").write_bytes(tiff_bytes(picture(0, 1, np.int16), sample_format=2, order=order))
+        assert "b.tif has signed 16-bit integers" in refusal(lambda: read_image(tmp_path / "b.tif"))
     tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
     tifffile.imwrite(tmp_path / "b.tif", np.ones((8, 9, 4), np.bool_), photometric="rgb")
     assert "has bool values" in refusal(lambda: read_image(tmp_path / "b.tif"))

@@ -144,6 +144,30 @@ def test_numbers_with_signs_count_from_their_lowest_one(tmp_path: Path) -> None:
     assert light_field.reading.places.endswith("; rows count from -1, columns from -1")
 
 
+@pytest.mark.parametrize("pattern", ["x{1}_y{0}.png", "cam_v{0:+d}u{1:+d}.png", "row{0}col{1}.png"])
+def test_a_minus_after_a_word_that_stands_before_zero_is_a_sign(tmp_path: Path, pattern: str) -> None:
+    light_field = read(save_named(tmp_path, [(r, c) for r in (0, 1) for c in (-2, -1, 0)], pattern))
+    assert (light_field.grid_shape, light_field.notes) == ((2, 3), ())
+    assert light_field.files[light_field.reference_index] == str(tmp_path / pattern.format(0, 0))
+    assert light_field.reading.places.endswith("; rows count from 0, columns from -2")
+
+
+def test_a_minus_after_a_word_that_stands_before_no_zero_may_be_a_hyphen(tmp_path: Path) -> None:
+    for place in range(5):
+        save(tmp_path / f"view-{place}.png", picture(place))
+    save(tmp_path / "view0.png")
+    assert "Left out 1 of the images, not named as the others: view0.png." in read(tmp_path).notes
+
+
+def test_half_of_the_numbered_images_are_not_left_out(tmp_path: Path) -> None:
+    save_named(tmp_path, box(2, 2, first=1), "x{0}_y{1}.png")
+    for number in range(4):
+        save(tmp_path / f"{'abcd'[number]}{number}.png", picture(number))
+    text = refusal(lambda: read(tmp_path))
+    assert "named in different ways: x1_y1.png and a0.png" in text
+    assert len(read(tmp_path, pattern="x{u}_y{v}.png").views) == 4
+
+
 def test_a_folder_of_raw_captures_is_several_light_fields(tmp_path: Path) -> None:
     lens = capture(make("planes", grid=(9, 9), size=(30, 30), seed=3), Camera(size=(280, 300)))
     for number in (1, 2):

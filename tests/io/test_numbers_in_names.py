@@ -169,6 +169,30 @@ def test_a_row_whose_pictures_show_it_is_not_asked_about(tmp_path: Path) -> None
     assert found.grid_shape == (1, 6)
 
 
+@pytest.mark.parametrize("options", [{}, {"grid": (3, 4)}, {"grid": (3, 4), "allow_missing": True}])
+@pytest.mark.parametrize("word", ["img", "cam", "7_view "])
+def test_two_digits_that_make_a_grid_are_asked_about(
+    word: str, options: dict[str, Any], true: LightField, tmp_path: Path
+) -> None:
+    save_as(tmp_path, true, lambda v, u: f"{word}{v + 1}{u + 1}.png")
+    text = asked(tmp_path, **options)
+    assert f'a full grid of 3 x 4: if these are row and column, say --pattern "{word}{{v}}{{u}}.png"' in text
+    np.testing.assert_array_equal(read(tmp_path, pattern=f"{word}{{v}}{{u}}.png").views, true.views)
+    row = read(tmp_path, pattern=f"{word}{{n}}.png", allow_missing=True)
+    assert row.grid_shape == (1, 24)
+
+
+def test_two_digits_without_gaps_are_no_rows_and_columns(true: LightField, tmp_path: Path) -> None:
+    save_as(tmp_path, true, lambda v, u: f"img{10 + 5 * (4 * v + u)}.png")
+    assert read(tmp_path, grid=(3, 4)).grid_shape == (3, 4)
+
+
+def test_a_grid_is_compared_with_the_views_that_are_there(true: LightField, tmp_path: Path) -> None:
+    save_as(tmp_path, true, lambda v, u: f"img{10 * v + u:03d}.png")
+    text = asked(tmp_path, grid=(3, 4), allow_missing=True)
+    assert "has 12 views, whose numbers from 0 to 23 count 24 places, but a grid of 3 x 4 has 12" in text
+
+
 def test_what_is_named_otherwise(tmp_path: Path) -> None:
     for number in range(5):
         save(tmp_path / f"cam{number}.png", picture(number))
@@ -177,6 +201,16 @@ def test_what_is_named_otherwise(tmp_path: Path) -> None:
     assert "named in different ways: cam0.png and cam0_mask.png" in text
     assert '--pattern "cam{n}.png"' in text
     assert len(read(tmp_path, pattern="cam{n}.png").views) == 5
+
+
+@pytest.mark.parametrize("name", ["{letter}{number}.png", "img_{number}{letter}.png", "row{letter}_{number}.png"])
+def test_letters_that_may_be_rows_are_asked_about(name: str, tmp_path: Path) -> None:
+    for place in range(9):
+        save(tmp_path / name.format(letter="ABC"[place // 3], number=place % 3 + 1), picture(place))
+    first, other = (name.format(letter=letter, number=1) for letter in "AB")
+    text = asked(tmp_path)
+    assert f"names differ by a letter, such as {first} and {other}: if letters count rows, columns or" in text
+    assert f'--pattern "{name.format(letter="A", number="{n}")}"' in text
 
 
 def test_exposures_are_chosen(tmp_path: Path) -> None:
