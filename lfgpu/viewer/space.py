@@ -151,10 +151,13 @@ class Space:
 
         drawn = count(1)
 
+        def rendered(one: Pose) -> NDArray[np.uint8]:
+            where = {"position": one.eye, "wxyz": SO3.from_matrix(one.axes).wxyz, "fov": one.fov}
+            return client.get_render(height=height, width=width, transport_format="png", timeout=30.0, **where)
+
         def seen(one: Pose) -> NDArray[np.uint8]:
             say(f"picture {next(drawn)}{'' if form == 'picture' else f' of {PICTURES}'}")
-            where = {"position": one.eye, "wxyz": SO3.from_matrix(one.axes).wxyz, "fov": one.fov}
-            found = client.get_render(height=height, width=width, transport_format="png", timeout=30.0, **where)
+            found = rendered(one)
             alpha = found[..., 3:].astype(np.float32) / 255
             behind = np.array(_PAGES.get(self._scene.background, _PAGES["white"]), np.float32)
             return (found[..., :3] * alpha + behind * (1 - alpha) + 0.5).astype(np.uint8)
@@ -162,6 +165,7 @@ class Space:
         self._mark(visible=False)
         try:
             with self._board.working("Drawing points in space") as say:
+                rendered(pose)  # not used: in the first picture after a change, points may have the size before it
                 if form == "picture":
                     return _with_scale(seen(pose), self._scene, self._board.contents), ".png"
                 orbit = (pose.orbited(k / PICTURES) for k in range(PICTURES))
