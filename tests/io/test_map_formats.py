@@ -1,5 +1,6 @@
 """Maps in every format: what is written comes back, others can open it, and it is written whole or not at all."""
 
+import re
 import resource
 import signal
 from dataclasses import replace
@@ -222,7 +223,8 @@ def test_others_open_the_exr(tmp_path: Path, capfd: pytest.CaptureFixture[str]) 
     DisparityMap(SLOPE).save(tmp_path / "map.exr")
     data = (tmp_path / "map.exr").read_bytes()
     (tmp_path / "map.exr").write_bytes(data[:-200] + bytes(200))
-    assert "its pixels are damaged" in refusal(lambda: load(tmp_path / "map.exr"))
+    words = refusal(lambda: load(tmp_path / "map.exr"))
+    assert re.search("map.exr cannot be read as OpenEXR: (its pixels are damaged|Unable to run decoder)", words)  # 3.4
     assert capfd.readouterr() == ("", "")
 
 
