@@ -119,7 +119,7 @@ def test_what_does_not_exist_is_refused(tmp_path: Path) -> None:
 def test_the_folder_of_inputs_takes_no_outputs(scene_folders: Path, tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(scene_folders)
     for out in (scene_folders, tmp_path / "link"):
-        refused(lfgpu("batch", scene_folders, "-o", out), "which is the input; name another folder")
+        refused(lfgpu("batch", scene_folders, "-o", out), f"-o names {out}, which is the input; name another folder")
 
 
 def test_fingerprints_tell_changed_files(scene_folders: Path, tmp_path: Path) -> None:

@@ -240,8 +240,8 @@ def _range(rig: Rig, depths: tuple[float, float] | None) -> tuple[float, float] 
 def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
     """Convert the truth to the rectified cameras, if the reference view did not change by a pixel.
 
-    The rectified cameras have another disparity 0 and another baseline; so it takes the depth, from the geometry of the
-    pictures.
+    Rectified cameras have another disparity 0 and another baseline, so the truth is converted by way of depth. Without
+    the geometry of the pictures their depth is unknown, and the truth is left out.
     """
     truth, geometry = pictures.reference_truth(), pictures.geometry
     if truth is None or geometry is None or len(lf.views) != len(pictures.views):
