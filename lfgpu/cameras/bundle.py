@@ -10,6 +10,10 @@ offset b_n; and for each point its disparity d_p and its brightness T_p. Gauss-N
 single residuals and of points as a whole, solve for all of them at once: disparity and brightness of each point are
 eliminated (Schur complement), so that a view that is out of line is not hidden by a map that follows it.
 
+Steps do not reach views that are many pixels off: to robust weights all of such a view is an outlier. Where a view
+fits much worse than the others, the whole pixels by which it is off are searched first, by the correlation of the
+orientation of gradients (Fitch et al. 2002), and steps go on from there.
+
 Views cannot tell the gauge: all of them moved alike, or in proportion to their offsets, which is another plane of
 disparity 0. Weak priors decide it; they keep every unknown near its start.
 """
@@ -19,7 +23,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from lfgpu.cameras import consensus
 from lfgpu.cameras.points import Points, farthest
 from lfgpu.cameras.surface import Surface, grey
 from lfgpu.cameras.tones import squared_radius_at
@@ -54,6 +60,8 @@ _PRIOR_DISPARITY = 1.0  # pixels in the farthest view
 _HALF = 0.7  # of the usual misfit: a point that fits as badly as that counts half
 _LONGEST = 1.0  # pixels in the farthest view: bound of a step of disparity
 _LONGEST_SHIFT = 2.0  # pixels: bound of a step of a view
+_LEAST_GAIN = 1e-3
+_SMOOTHED = 1.0  # pixels: standard deviation with which views are smoothed before their gradients are compared
 
 
 def homographies(warps: Float64Array, size: tuple[int, int]) -> Float64Array:
@@ -101,7 +109,10 @@ class Bundle:
         self.noise = 0.0
         """Robust standard deviation of the residuals, intensity."""
         self.load(smoothing)
-        self.brightness = self._surfaces[lf.reference_index](points.x, points.y)[0]
+        self.brightness, *slopes = self._surfaces[lf.reference_index](points.x, points.y)
+        self._slope = max(float(np.median(np.hypot(*slopes))), 1e-9)
+        self.misfit = np.zeros(count)
+        """[n], usual residual of each view over its usual gradient: pixels by which its edges seem to stand off."""
         self.influence: Float64Array = np.zeros((count, 0, 0))
         """[n, k + ..., t], move of each unknown of each view by each tile of the picture alone; set by `step`.
 
@@ -120,9 +131,16 @@ class Bundle:
     # --- steps ---
 
     def run(self, iterations: int, *, tolerance: float = 1e-3) -> None:
-        """Take up to so many steps; fewer if one moves no view by more than `tolerance` pixels."""
-        for _ in range(iterations):
-            if self.step() < tolerance:
+        """Take up to so many steps; fewer if one moves no view by more than `tolerance` pixels.
+
+        If views were far off, as many are taken from the place that was found for these.
+        """
+        for _ in range(2):
+            for _ in range(iterations):
+                if self.step() < tolerance:
+                    break
+            self._measure_misfit()
+            if not self._find_far_views():
                 break
 
     def step(self) -> float:
@@ -131,7 +149,7 @@ class Bundle:
         looks = in_threads(self._look, views)
         residuals = np.stack([look.residual for look in looks])
         seen = np.stack([look.weight for look in looks])
-        self.noise = _spread(residuals, seen)
+        self.noise = spread(residuals, seen)
         weights = seen / (1 + (residuals / (3 * self.noise)) ** 2) ** 2 / self.noise**2
         weights *= _trust(residuals, weights)
         columns = looks[0].jacobian.shape[0]
@@ -187,25 +205,96 @@ class Bundle:
 
     def look_up(self, index: int, channel: int) -> tuple[Float64Array, Float64Array]:
         """Look the points up in one colour of a view: its intensities, and their weights, both [p]."""
-        x, y, inside = self._places(index)[:3]
+        x, y, inside = self._places(index, index, self.warps[index])[:3]
         one = Surface(self._lf.views[index, ..., channel : channel + 1], self._lf.scale)
         return one(x, y)[0], inside * self.points.visible[index]
 
     def squared_radii(self) -> Float64Array:
         """Squared distance [n, p] of each point from the middle of each view, half diagonals."""
-        places = [np.stack(self._places(n)[:2], axis=-1) for n in range(len(self._lf.views))]
+        places = [np.stack(self._places(n, n, self.warps[n])[:2], axis=-1) for n in range(len(self._lf.views))]
         return np.stack([squared_radius_at(at, self._lf.size) for at in places])
+
+    def places(self) -> NDArray[np.intp]:
+        """Tell at the place of which camera each view [n] fits: at its own, but for exchanged ones.
+
+        A view that fits badly where it stands is tried at the places of all others.
+        """
+        found, usual = np.arange(len(self.misfit)), self._usual_warps()
+        for n in self._unlike():
+            elsewhere = [self._at(n, place, usual[place])[1] for place in range(len(found))]
+            there = np.where(found == n, min(elsewhere), self.misfit)
+            if not consensus.unlike(there, self._lf.offsets)[n]:
+                found[n] = np.argmin(elsewhere)
+        return found
+
+    # --- views that are far off ---
+
+    def _find_far_views(self) -> bool:
+        """Let views that fit badly start where whole pixels make them fit better; False if there are none."""
+        found, usual = False, self._usual_warps()
+        for n in self._unlike():
+            warp = usual[n].copy()
+            warp[:2] += self._whole_pixels(n) / self.radius
+            tones, misfit = self._at(n, n, warp)
+            if misfit < self.misfit[n]:
+                self.warps[n], self.tones[n], found = warp, tones, True
+        return found
+
+    def _unlike(self) -> list[int]:
+        return [int(n) for n in np.flatnonzero(consensus.unlike(self.misfit, self._lf.offsets))]
+
+    def _usual_warps(self) -> Float64Array:
+        """Warps [n, k] of views that fit: what views cannot tell drifts, and takes all of them along."""
+        usual = np.repeat(np.median(self.warps, axis=0, keepdims=True), len(self.warps), axis=0)
+        usual[:, :2] = self.warps[:, :2] - consensus.without_gauge(self.warps[:, :2], self._lf.offsets)
+        return usual
+
+    def _whole_pixels(self, index: int) -> Float64Array:
+        """Find the shift (x, y) with which most gradients of a view have the directions of those at the points."""
+        (du, dv), (height, width) = self._lf.offsets[index], self._lf.size
+        x = np.rint(self.points.x - self._start * du).astype(np.intp)  # by disparities that have not drifted yet
+        y = np.rint(self.points.y - self._start * dv).astype(np.intp)
+        seen = (x >= 0) & (x < width) & (y >= 0) & (y < height) & (self.points.visible[index] > 0)
+        own = self.points.y[seen].astype(np.intp), self.points.x[seen].astype(np.intp)
+        wanted = np.zeros((height, width), np.complex64)
+        np.add.at(wanted, (y[seen], x[seen]), _directions(grey(self._lf, self._lf.reference_index))[own])
+        shown = np.fft.fft2(_directions(grey(self._lf, index)))
+        alike = np.fft.ifft2(shown * np.fft.fft2(wanted).conj()).real
+        down, right = np.unravel_index(np.argmax(alike), alike.shape)  # cyclic: more than half is the other way
+        return np.array([(right + width // 2) % width - width // 2, (down + height // 2) % height - height // 2], float)
+
+    def _at(self, index: int, place: int, warp: Float64Array) -> tuple[Float64Array, float]:
+        """Fit gain and offset of a view with a warp at the place of a camera; returns them and the misfit."""
+        x, y, inside = self._places(index, place, warp)[:3]
+        seen = inside * self.points.visible[place] > 0
+        if not seen.any():
+            return self.tones[index], np.inf
+        value = self._surfaces[index](x[seen], y[seen])[0]
+        columns = np.stack([self.brightness, np.ones_like(x)], axis=1)[seen]
+        rest = consensus.robust_rest(columns, value[:, None])[:, 0]
+        tones = np.linalg.lstsq(columns, value - rest, rcond=None)[0]
+        return tones, float(self._misfit(rest[None], np.ones((1, len(rest))), tones[None])[0])
+
+    def _measure_misfit(self) -> None:
+        looks = in_threads(self._look, range(len(self._lf.views)))
+        residuals, seen = np.stack([look.residual for look in looks]), np.stack([look.weight for look in looks])
+        self.misfit = self._misfit(residuals, seen, self.tones)
+
+    def _misfit(self, residuals: Float64Array, seen: Float64Array, tones: Float64Array) -> Float64Array:
+        """Usual residual of each view over its usual gradient, pixels, from residuals [n, p] with tones [n, 2]."""
+        return spreads(residuals, seen) / (np.maximum(tones[:, 0], _LEAST_GAIN) * self._slope)
 
     # --- helpers ---
 
     def _places(
-        self, index: int
+        self, index: int, place: int, warp: Float64Array
     ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array, Float64Array, Float64Array]:
-        """Places (x, y) of the points in a view, 1 for those in its frame, and their homogeneous coordinates."""
-        du, dv = self._lf.offsets[index] + self.shifted[index]
+        """Places (x, y) of the points in a view with a warp, where the camera `place` should see them, 1 for those in
+        its frame, and their homogeneous coordinates."""
+        du, dv = self._lf.offsets[place] + self.shifted[place]
         px = (self.points.x - self.disparity * du - self._middle[0]) / self.radius
         py = (self.points.y - self.disparity * dv - self._middle[1]) / self.radius
-        h = np.eye(3) + np.einsum("k,kij->ij", self.warps[index], self._generators)
+        h = np.eye(3) + np.einsum("k,kij->ij", warp, self._generators)
         w = h[2, 0] * px + h[2, 1] * py + h[2, 2]
         x = (h[0, 0] * px + h[0, 1] * py + h[0, 2]) / w * self.radius + self._middle[0]
         y = (h[1, 0] * px + h[1, 1] * py + h[1, 2]) / w * self.radius + self._middle[1]
@@ -217,7 +306,7 @@ class Bundle:
         return x, y, inside, px, py, w
 
     def _look(self, index: int) -> _Look:
-        x, y, inside, px, py, w = self._places(index)
+        x, y, inside, px, py, w = self._places(index, index, self.warps[index])
         value, by_x, by_y = self._surfaces[index](x, y)
         gain, offset = self.tones[index]
         hx, hy = (x - self._middle[0]) / self.radius, (y - self._middle[1]) / self.radius
@@ -266,10 +355,25 @@ class _Look:
     by_disparity: Float64Array
 
 
-def _spread(residuals: Float64Array, seen: Float64Array) -> float:
-    """Estimate the standard deviation of the residuals that count, robustly."""
+def _directions(picture: NDArray[np.float32]) -> NDArray[np.complex64]:
+    """Directions of the gradients of a picture [y, x]: complex numbers of length 1, or 0 where it is flat."""
+    down, right = np.gradient(smoothed(picture, _SMOOTHED))
+    gradient = (right + 1j * down).astype(np.complex64)
+    return np.divide(gradient, np.abs(gradient), out=np.zeros_like(gradient), where=gradient != 0)
+
+
+def spread(residuals: Float64Array, seen: Float64Array) -> float:
+    """Estimate the standard deviation of the residuals [n, p] that count, robustly; 0.003 at least."""
     counted = np.abs(residuals[seen > 0])
     return max(_LEAST_NOISE, 1.4826 * float(np.median(counted))) if len(counted) else _LEAST_NOISE
+
+
+def spreads(residuals: Float64Array, seen: Float64Array) -> Float64Array:
+    """Estimate the standard deviation [n] of the residuals [n, p] of each view, as `spread`; 0.003 if none counts."""
+    counted = np.sort(np.where(seen > 0, np.abs(residuals), np.inf), axis=1)
+    counts = (seen > 0).sum(1)
+    middle = counted[np.arange(len(counted)), np.maximum(counts - 1, 0) // 2]
+    return np.maximum(_LEAST_NOISE, np.where(counts > 0, 1.4826 * middle, 0.0))
 
 
 def _trust(residuals: Float64Array, weights: Float64Array) -> Float64Array:

@@ -12,6 +12,8 @@ _TREND = 6  # parameters of the trend
 _ALIKE = 8  # views that are compared with each other, those about as far from the reference
 _FACTOR = 6.0  # times the usual distance: what lies further stands out
 
+UNLIKE = 0.1
+"""Pixels by which edges of a view seem to stand off, beyond those of the others, if it does not show what they do."""
 MANY = 25
 """Views from which a smooth trend over the array is taken out before outliers are looked for."""
 
@@ -30,7 +32,7 @@ def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
     flat = shifts.reshape(2 * count, -1)
     if shifts.ndim == 3:
         return np.asarray((flat - basis @ np.linalg.lstsq(basis, flat, rcond=None)[0]).reshape(shifts.shape))
-    return np.asarray(_robust_rest(basis, flat).reshape(shifts.shape))
+    return np.asarray(robust_rest(basis, flat).reshape(shifts.shape))
 
 
 def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
@@ -42,7 +44,7 @@ def without_slope(values: Float64Array, offsets: Float64Array) -> Float64Array:
     basis = np.concatenate([np.ones((len(offsets), 1)), offsets], axis=1)
     if values.ndim == 2:
         return np.asarray(values - basis @ np.linalg.lstsq(basis, values, rcond=None)[0])
-    return _robust_rest(basis, values[:, None])[:, 0]
+    return robust_rest(basis, values[:, None])[:, 0]
 
 
 def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, *, least: float) -> NDArray[np.bool_]:
@@ -63,6 +65,11 @@ def outliers(values: Float64Array, offsets: Float64Array, errors: Float64Array, 
     return np.asarray(size > least)
 
 
+def unlike(misfit: Float64Array, offsets: Float64Array) -> NDArray[np.bool_]:
+    """Find the views that do not show what the others do, by their misfit [n] in pixels (`Bundle.misfit`)."""
+    return outliers(misfit[:, None], offsets, np.zeros((len(misfit), 1)), least=UNLIKE) & (misfit > np.median(misfit))
+
+
 def smooth_rest(values: Float64Array, offsets: Float64Array, rounds: int = _ROUNDS) -> Float64Array:
     """Remove a trend from values [n, k]: a polynomial of degree 2 in the offsets if there are many views, else the
     median. After few `rounds` it still gives way to views that stand out."""
@@ -70,7 +77,7 @@ def smooth_rest(values: Float64Array, offsets: Float64Array, rounds: int = _ROUN
         return values - np.median(values, axis=0)
     u, v = (offsets / max(float(np.abs(offsets).max()), 1e-9)).T
     basis = np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
-    return _robust_rest(basis, values, rounds)
+    return robust_rest(basis, values, rounds)
 
 
 def usual_rest(rest: Float64Array) -> float:
@@ -82,7 +89,7 @@ def usual_rest(rest: Float64Array) -> float:
     return 1.4826 * float(np.median(np.sort(np.abs(rest), axis=None)[through:]))
 
 
-def _robust_rest(basis: Float64Array, values: Float64Array, rounds: int = _ROUNDS) -> Float64Array:
+def robust_rest(basis: Float64Array, values: Float64Array, rounds: int = _ROUNDS) -> Float64Array:
     """Remove from each column of values [n, k] its fit of least absolute deviations by columns of a basis."""
     left, sizes, _ = np.linalg.svd(basis, full_matrices=False)
     columns = left[:, sizes > _DEPENDENT * sizes[0]]  # cameras in one line tell nothing of the other axis

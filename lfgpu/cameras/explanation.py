@@ -55,7 +55,7 @@ class Explanation(Look):
         float64 [n, 2], pixels to the right and down by which the contents of a view stand away from where the other
         views and its camera's position put them; and the standard error. Effects that views cannot tell are left out:
         all of them moved alike, or in proportion to their offsets. NaN, as all below, where fewer than 50 points have
-        texture.
+        texture; shift, rotation, scale and brightness are NaN for views that show something else than the others.
     rotation, rotation_error
         float64 [n], degrees, clockwise.
     scale, scale_error
@@ -65,6 +65,11 @@ class Explanation(Look):
         float64 [n, c]: a view shows gain * t + offset where the reference shows t.
     brightness
         float64 [n], brightness of a view as a share of the reference's, at the median brightness of the points.
+    misfit
+        float64 [n], usual difference of a view from what the others show, over its usual gradient: pixels by which its
+        edges seem to stand off when the effects above are taken out.
+    place
+        int [n], index of the camera at whose place a view fits: its own, unless names were exchanged.
     points
         Number of points with texture that the cameras are measured at.
     findings
@@ -80,14 +85,13 @@ class Explanation(Look):
     psnr: Float64Array
     predicted: Float64Array
     unexplained: Float32Array
-    positions: Float64Array
-    reference: int
     name: str
 
     @property
     def misalignment(self) -> float:
-        """Root mean square of `shift` along an axis, pixels."""
-        return float(np.sqrt((self.shift**2).mean()))
+        """Root mean square of `shift` along an axis, pixels; NaN if no view tells."""
+        known = self.shift[np.isfinite(self.shift)]
+        return float(np.sqrt((known**2).mean())) if len(known) else float("nan")
 
     @property
     def mean_psnr(self) -> float:
@@ -154,8 +158,6 @@ def explain(
         psnr=psnr,
         predicted=predicted,
         unexplained=unexplained,
-        positions=lf.positions.copy(),
-        reference=lf.reference_index,
         name=lf.name,
     )
 

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus
 from lfgpu.cameras.signs import Signs
@@ -68,6 +69,28 @@ class Cameras:
     gain: Float64Array
     offset: Float64Array
     brightness: Float64Array
+    misfit: Float64Array
+    place: NDArray[np.intp]
+
+
+def strangers(lf: LightField, cameras: Cameras) -> tuple[str, ...]:
+    """Name the views that do not show what they should: those of other places, and those that fit nowhere."""
+    place, said = cameras.place, []
+    unlike = np.flatnonzero(consensus.unlike(cameras.misfit, lf.offsets))
+    elsewhere = [n for n in unlike if place[n] != n]
+    nowhere = [n for n in unlike if place[n] == n]
+    if elsewhere:
+        each = [f"the view at {_where(lf, n)} shows what belongs at {_where(lf, place[n])}" for n in elsewhere]
+        said.append(f"{_named(each)}: correct the names of the files.")
+    if nowhere:
+        which = _named([_where(lf, n) for n in nowhere])
+        several = len(nowhere) > 1
+        said.append(
+            f"the {'views' if several else 'view'} at {which} {'fit' if several else 'fits'} the others neither there, "
+            "nor moved, nor at the place of another camera: covered, turned, blurred, noisy, of another time or scene? "
+            f"Without {'them' if several else 'it'}, read the rest with --allow-missing."
+        )
+    return tuple(said)
 
 
 def placement(lf: LightField, cameras: Cameras, *, single: bool = True) -> tuple[str, ...]:
@@ -113,7 +136,8 @@ def brightness(lf: LightField, cameras: Cameras, *, single: bool = True) -> tupl
         (UNEQUAL, BRIGHTER),
         lambda rms: f"differ in brightness by {100 * rms:.2g} % (rms)",
         lambda rest: (
-            f"{100 * abs(np.expm1(rest[0])):.2g} % {'brighter' if rest[0] > 0 else 'darker'} than its neighbours"
+            f"{float(f'{100 * abs(np.expm1(rest[0])):.2g}'):g} % "
+            f"{'brighter' if rest[0] > 0 else 'darker'} than its neighbours"
         ),
         "equalise {} with `lfgpu rectify --equalise`.",
         single=single,
@@ -132,19 +156,30 @@ def _found(
     *,
     single: bool,
 ) -> list[str]:
-    """Make a sentence about values [n, k] of all views if they are off together, else about single views that are."""
-    rest = consensus.smooth_rest(values, lf.offsets)
+    """Make a sentence about values [n, k] of all views if they are off together, else about single views that are.
+
+    Views whose values are not known are left out.
+    """
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
+    values, offsets = values[known], lf.offsets[known]
+    rest = consensus.smooth_rest(values, offsets)
     if consensus.usual_rest(rest) > limits[0]:
         return [f"the views {together(float(np.sqrt((rest**2).mean())))}; {remedy.format('them')}"]
-    chosen = np.flatnonzero(consensus.outliers(values, lf.offsets, errors, least=limits[1])) if single else ()
+    chosen = np.flatnonzero(consensus.outliers(values, offsets, errors[known], least=limits[1])) if single else ()
     if not len(chosen):
         return []
-    named = "; ".join(
-        f"the view at row {lf.positions[n, 1]:g}, column {lf.positions[n, 0]:g} is {alone(rest[n])}"
-        for n in chosen[:_NAMED]
-    )
-    more = f"; and so are {len(chosen) - _NAMED} more" if len(chosen) > _NAMED else ""
-    return [f"{named}{more}: {remedy.format('it' if len(chosen) == 1 else 'them')}"]
+    each = [f"the view at {_where(lf, known[n])} is {alone(rest[n])}" for n in chosen]
+    named = _named(each, "; and so are {} more")
+    return [f"{named}: {remedy.format('it' if len(chosen) == 1 else 'them')}"]
+
+
+def _where(lf: LightField, n: int | np.intp) -> str:
+    return f"row {lf.positions[n, 1]:g}, column {lf.positions[n, 0]:g}"
+
+
+def _named(each: list[str], more: str = "; and {} more") -> str:
+    """List some of what is said of views, and the number of the others."""
+    return "; ".join(each[:_NAMED]) + more.format(len(each) - _NAMED) * (len(each) > _NAMED)
 
 
 def _direction(x: float, y: float) -> str:

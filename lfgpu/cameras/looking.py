@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus, signs
 from lfgpu.cameras.bundle import Bundle, most_points
-from lfgpu.cameras.findings import Cameras, axes, brightness, placement
+from lfgpu.cameras.findings import Cameras, axes, brightness, placement, strangers
 from lfgpu.cameras.points import Points, choose_points, textured
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.surface import LABELS, grey, patches, sweep
@@ -74,6 +74,13 @@ class Look(Cameras):
     findings: tuple[str, ...]
     moved: tuple[str, ...]
     signs: signs.Signs | None
+    positions: Float64Array
+    reference: int
+
+    @property
+    def offsets(self) -> Float64Array:
+        """[n, 2], positions less that of the reference."""
+        return self.positions - self.positions[self.reference]
 
 
 def look(
@@ -149,10 +156,18 @@ def _made(lf: LightField, points: Points, effort: _Effort, wrong: signs.Signs | 
     """Measure the cameras at some points, and say what stands out; of `single` ones only if that is asked for."""
     cameras = measured(lf, points, steps=effort.steps, colours=effort.colours)
     tells = wrong is None and len(points.x) >= FEWEST
-    moved = placement(lf, cameras, single=single) if tells else ()
+    moved = (*(strangers(lf, cameras) if single else ()), *placement(lf, cameras, single=single)) if tells else ()
     bright = brightness(lf, cameras, single=single) if tells else ()
     findings = (*moved, *bright) if wrong is None else (axes(lf, wrong),)
-    return Look(**vars(cameras), points=len(points.x), findings=findings, moved=moved, signs=wrong)
+    return Look(
+        **vars(cameras),
+        points=len(points.x),
+        findings=findings,
+        moved=moved,
+        signs=wrong,
+        positions=lf.positions.copy(),
+        reference=lf.reference_index,
+    )
 
 
 def part_of(
@@ -199,7 +214,8 @@ def measured(lf: LightField, points: Points, *, steps: int, colours: bool) -> Ca
     count, channels = len(lf.views), lf.channels
     if len(points.x) < FEWEST:
         nothing, pairs, tones = (np.full(shape, np.nan) for shape in (count, (count, 2), (count, channels)))
-        return Cameras(pairs, pairs, nothing, nothing, nothing, nothing, tones, tones, nothing)
+        own = np.arange(count)
+        return Cameras(pairs, pairs, nothing, nothing, nothing, nothing, tones, tones, nothing, nothing, own)
     bundle = Bundle(lf, points)
     bundle.run(steps)
     offsets, radius, influence = lf.offsets, bundle.radius, bundle.influence
@@ -213,6 +229,9 @@ def measured(lf: LightField, points: Points, *, steps: int, colours: bool) -> Ca
     if colours:
         gain, offset, _ = measured_tones(lf, bundle, vignetting=False)
     level = float(np.clip(np.median(bundle.brightness), 0.02, 1.0))
+    bright = (gain + offset / level).mean(axis=1)
+    for known in (shift, moved, turned, turned_error, scaled, scaled_error, bright):
+        known[consensus.unlike(bundle.misfit, offsets)] = np.nan  # they show something else
     return Cameras(
         shift=shift,
         shift_error=np.sqrt((moved**2).sum(2)),
@@ -222,7 +241,9 @@ def measured(lf: LightField, points: Points, *, steps: int, colours: bool) -> Ca
         scale_error=scaled_error,
         gain=gain,
         offset=offset,
-        brightness=(gain + offset / level).mean(axis=1),
+        brightness=bright,
+        misfit=bundle.misfit,
+        place=bundle.places(),
     )
 
 

@@ -14,6 +14,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus, findings
+from lfgpu.cameras.bundle import spread, spreads
 from lfgpu.cameras.points import hidden, some_on_surfaces
 from lfgpu.cameras.signs import order_of_depth
 from lfgpu.cameras.surface import Surface, spline_mean
@@ -26,7 +27,6 @@ _IN_ALL, _LEAST, _MOST = 32_000, 400, 800  # points in all views, and bounds of 
 _FEWEST = 150  # points: from fewer nothing is said
 _AGREE = 0.2  # pixels: views that differ from the reference by no more than this in the median have the right axes
 _ROUNDS, _TREND_ROUNDS = 4, 8  # of robust weights: of points, of views
-_LEAST_NOISE = 0.003  # intensity
 _SIDES = 4  # views, those farthest away, in which the order of depth is compared
 _TOLD = 50  # pixels that tell the order of depth; from fewer nobody can tell
 _BAND, _BETTER = 24, 0.5  # rows in the middle that end it, if right cameras leave so much less than the other order
@@ -75,8 +75,9 @@ def _fault(
         normal = (weight @ products).reshape(-1, 6, 6) + 1e-6 * np.eye(6)
         found = np.linalg.solve(normal, ((weight * left) @ jacobian)[..., None])[..., 0]
         left -= found @ jacobian.T
-        noise = max(_LEAST_NOISE, 1.4826 * float(np.median(np.abs(left[sees > 0]))))
+        noise = spread(left, sees)
         weight = sees / (1 + (left / (3 * noise)) ** 2) ** 2
+    slope = float(np.median(np.hypot(by_x, by_y)))
     shift = found[:, :2]
     if len(offsets) < consensus.MANY:  # else it is a part of the trend
         shift = consensus.without_gauge(shift, offsets)
@@ -85,7 +86,8 @@ def _fault(
     trends = consensus.smooth_rest(np.concatenate([shift, found[:, 2:4], bright], axis=1), offsets, _TREND_ROUNDS)
     shift, shape, bright = np.split(trends, [2, 4], axis=1)  # shape: at the half diagonal, pixels
     sizes = (
-        (noise, 2 * _AGREE * float(np.median(np.hypot(by_x, by_y)))),
+        (noise, 2 * _AGREE * slope),
+        (consensus.smooth_rest(spreads(left, sees)[:, None] / slope, offsets, _TREND_ROUNDS).max(), consensus.UNLIKE),
         (np.linalg.norm(shift, axis=1).max(), findings.MOVED),
         (consensus.usual_rest(shift), findings.OUT_OF_LINE),
         (np.abs(shape).max(), findings.TURNED),

@@ -52,8 +52,11 @@ def match_tones(
     point. `radius2` are squared distances from the middle of the view, half diagonals.
     """
     weight = weight * ((shown > _DARK) & (shown < _BRIGHT))
-    count = len(shown)
-    gain, offset, falloff = np.ones(count), np.zeros(count), np.zeros(count)
+    count, both = len(shown), weight * weight[reference]
+    light, expected = (both * shown).sum(1), (both * shown[reference]).sum(1)
+    # A view of another exposure would be an outlier to robust weights that begin at equal light.
+    gain = np.divide(light, expected, out=np.ones(count), where=expected > 0)
+    offset, falloff = np.zeros(count), np.zeros(count)
     for _ in range(_ROUNDS):
         factor = gain[:, None] + falloff[:, None] * radius2
         total = (weight * factor**2).sum(0)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from lfgpu.cameras import consensus
 from lfgpu.cameras.looking import Look
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField
@@ -13,6 +14,7 @@ from lfgpu.data.result import DepthResult
 from lfgpu.methods import method_of
 
 _WITHIN = 0.07  # pixels per view step: the confidence is the share of pixels that are nearer to the truth
+_ALONE = 2.0  # pixels: a view that stands out by more fits at no disparity near by, so it no longer draws the map
 
 
 def trusted(lf: LightField, result: DepthResult, found: Look) -> DepthResult:
@@ -40,7 +42,10 @@ def _spread(lf: LightField, found: Look, used: list[int]) -> Float32Array:
     height, width = lf.size
     y, x = np.mgrid[:height, :width].astype(np.float64)
     x, y = x - (width - 1) / 2, y - (height - 1) / 2
-    shift, turn, scale = found.shift, np.deg2rad(found.rotation), found.scale
+    known = np.flatnonzero(np.isfinite(found.shift).all(axis=1))
+    shift, error, offsets = (each[known] for each in (found.shift, found.shift_error, found.offsets))
+    near = known[~consensus.outliers(shift, offsets, error, least=_ALONE)]
+    shift, turn, scale = found.shift[near], np.deg2rad(found.rotation[near]), found.scale[near]
     # Mean over the views of |shift + scale r + turn r'|², with r' the place turned by 90 degrees.
     square = (shift**2).sum(1).mean() + (x**2 + y**2) * float((scale**2 + turn**2).mean())
     square = square + 2 * (x * (scale * shift[:, 0]).mean() + y * (scale * shift[:, 1]).mean())

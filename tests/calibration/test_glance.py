@@ -109,10 +109,13 @@ def test_right_cameras_need_no_look(name: str) -> None:
         (12, lambda image: displaced(image, y=-0.15)),
         (20, lambda image: displaced(image, degrees=-0.15)),
         (7, lambda image: 0.95 * image),
+        (3, lambda image: displaced(image, x=2.5, y=-1)),
+        (20, lambda image: np.roll(image, 30, axis=0)),
+        (7, lambda image: 0 * image),
     ],
 )
 def test_a_single_view_is_worth_it(boxes: LightField, index: int, change) -> None:
-    """The reference view, 12, among them."""
+    """The reference view, 12, among them, and views so far off that all their points are outliers."""
     assert worth_a_look(with_view(boxes, index, change), truth(boxes))
 
 
@@ -236,7 +239,12 @@ def test_the_spread_is_how_far_each_view_moves_a_pixel(rng: np.random.Generator)
     """Shift, turn (from x to y) and scale of each view as a matrix, applied to pixels of a corner and of the middle."""
     count, used = len(planes().views), [0, 4, 7, 20]
     shift, turn, scale = rng.normal(0, 0.5, (count, 2)), rng.normal(0, 0.01, count), rng.normal(0, 0.01, count)
-    found = SimpleNamespace(shift=shift, rotation=np.rad2deg(turn), scale=scale)
+    alone = np.full((1, 2), 30.0), np.array([0.2]), np.array([0.3])  # one that is far off draws nothing
+    shifts, turns, scales = (np.concatenate(parts) for parts in zip((shift, turn, scale), alone, strict=True))
+    offsets = np.concatenate([planes().offsets, [(0.5, 0.5)]])
+    found = SimpleNamespace(
+        shift=shifts, shift_error=0 * shifts, rotation=np.rad2deg(turns), scale=scales, offsets=offsets
+    )
     spread = _spread(planes(), found, used)  # type: ignore[arg-type]
     moving = np.array([[scale, -turn, shift[:, 0]], [turn, scale, shift[:, 1]]]).transpose(2, 0, 1)
     for y, x in ((0, 0), (127, 5), (64, 72), (3, 140)):

@@ -56,6 +56,44 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
     assert np.abs(others).max() < 0.05
 
 
+@pytest.mark.parametrize(("index", "shift"), [(3, (2, 0)), (0, (-15, 9)), (20, (0, 60))])
+def test_a_view_that_is_far_off_is_found_where_it_is(boxes: LightField, index: int, shift: tuple[int, int]) -> None:
+    """All its points are outliers there: steps from where it should be do not reach it. Half of the picture is far."""
+    moved = with_view(boxes, index, lambda image: np.roll(image, shift, axis=(1, 0)))
+    found = lfgpu.explain(moved, lfgpu.estimate_depth(moved, config="fast"))
+    (sentence,) = found.findings
+    row, column = divmod(index, 5)
+    assert f"the view at row {row}, column {column} is" in sentence
+    np.testing.assert_allclose(found.shift[index], shift, atol=0.05)
+    assert np.abs(np.delete(found.shift, index, axis=0)).max() < 0.05
+    assert found.misfit.max() < 0.1
+
+
+def test_exchanged_views_are_told_apart(boxes: LightField) -> None:
+    order = np.arange(25)
+    order[[0, 2, 24]] = [2, 24, 0]
+    result = lfgpu.estimate_depth(exchanged := replace(boxes, views=boxes.views[order]), config="fast")
+    (sentence,) = result.remarks
+    assert "row 0, column 0 shows what belongs at row 0, column 2; " in sentence
+    assert sentence.endswith("row 4, column 4 shows what belongs at row 0, column 0: correct the names of the files.")
+    found = lfgpu.explain(exchanged, result)
+    assert found.place.tolist() == order.tolist()
+    assert np.isnan(found.shift[[0, 2, 24]]).all()
+    assert found.misalignment < 0.02
+
+
+@pytest.mark.parametrize("change", [lambda image: 0 * image, lambda image: image[::-1], lambda image: 255 - image])
+def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
+    wrong = with_view(boxes, 6, change)
+    result = lfgpu.estimate_depth(wrong, config="fast")
+    (sentence,) = result.remarks
+    assert sentence.startswith("the view at row 1, column 1 fits the others neither there, nor moved, ")
+    assert np.isnan(lfgpu.explain(wrong, result).brightness[6])
+    np.testing.assert_array_equal(
+        result.confidence, lfgpu.estimate_depth(wrong, config="fast", check_cameras=False).confidence
+    )
+
+
 def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     turned = with_view(boxes, 6, lambda image: displaced(image, degrees=0.2))
     found = lfgpu.explain(turned, truth(turned))
@@ -68,6 +106,10 @@ def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     (sentence,) = found.findings
     assert "row 1, column 3 is 8" in sentence
     assert "darker" in sentence
+
+    exposed = with_view(boxes, 8, lambda image: 0.5 * image)
+    (sentence,) = lfgpu.explain(exposed, truth(exposed)).findings
+    assert "row 1, column 3 is 50 % darker" in sentence
 
 
 @pytest.mark.parametrize(
