@@ -206,7 +206,7 @@ TIMES = "h200-pipelines.json"
 RUNS = (TIMES, "ablation.json")
 TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "ablation": (("ablation.json",), lambda path: runs.tables(results.load(path).records)[0].markdown),
-    "backends": (("h200-vulkan.json",), _backends),
+    "backends": (("h100-vulkan.json",), _backends),
     "compared": ((ACCURACY, "learned.json", PUBLISHED), _compared),
     "confidence": (("confidence.json",), _reliability),
     "confidence-surest": (("confidence-surest.json",), _reliability),

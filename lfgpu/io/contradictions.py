@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import check_unchanged, is_mapped
+from lfgpu.data.windows import mean_of_channels
 from lfgpu.io.flips import ORDERS, reordered
 from lfgpu.io.parallax import AROUND, FITS, SMALLEST, alike, beside, fit, grey_of, moves, shrunk
 
@@ -16,7 +17,7 @@ _BETTER = 0.3  # of the motion: how much more another way to count cameras must 
 _MISFIT = 0.15  # of the motion: how much less than one disparity map the places explain where they are wrong
 _HALF, _STILL = 0.5, 0.15  # share of the motion that is explained; steps that are so much shorter than others are none
 _OTHER = 0.5  # times as long as others are steps, at most, that are none if the common map does not explain them
-_LOOKED_AT, _BLOCK = 128, 4  # pixels of the longer side, means of blocks of which are compared upside down
+_LOOKED_AT, _BLOCK = 32, 4  # pixels of the longer side; of blocks whose means are compared upside down
 _UPRIGHT, _LESS = 0.7, 0.3  # correlation of what is upright, and how much less it is the other way
 _BLOCKS, _ONE_SCENE = 12, 0.5  # pixels of the shorter side; correlation of pictures of one scene, at least
 _UNMOVED = 0.2  # pixels, rms: motion that may be noise where no disparity map explains it
@@ -61,13 +62,16 @@ def copied(light_field: LightField) -> str | None:
 def _copies(light_field: LightField) -> list[tuple[int, int]]:
     """List the views that are the same picture as an earlier one, that first, if it shows something."""
     views, some = light_field.views, _looked_at(light_field)
-    first: dict[bytes, int] = {}
-    pairs = [(first.setdefault(view[some].tobytes(), index), index) for index, view in enumerate(views)]
-    return [
-        (one, other)
-        for one, other in pairs
-        if one != other and views[one].min() < views[one].max() and np.array_equal(views[one], views[other])
-    ]
+    seen: dict[bytes, list[int]] = {}  # the first of each picture, by some of its pixels
+    found = []
+    for index, view in enumerate(views):
+        like = seen.setdefault(view[some].tobytes(), [])
+        one = next((other for other in like if np.array_equal(views[other], view)), None)
+        if one is None:
+            like.append(index)
+        elif view.min() < view.max():
+            found.append((one, index))
+    return found
 
 
 def _looked_at(light_field: LightField) -> tuple[slice, slice]:
@@ -81,7 +85,7 @@ def upside_down(light_field: LightField) -> str | None:
     if min(light_field.size) < SMALLEST or is_mapped(light_field.views):
         return None
     step = max(1, min(light_field.size) // (_BLOCKS * _BLOCK))
-    few = light_field.views[:, ::step, ::step].mean(axis=3, dtype=np.float64)
+    few = mean_of_channels(light_field.views[:, ::step, ::step], np.float64)
     thumbs = np.stack([shrunk(view, _BLOCK) for view in few])
     middle = thumbs[light_field.reference_index]
     turned = np.array([_is_turned(thumb, middle) for thumb in thumbs])
@@ -116,7 +120,8 @@ def other_scenes(light_field: LightField) -> str | None:
     if centre.std() == 0:
         return None
     for index in _around(light_field):
-        if _alike_moved(grey_of(light_field, index, factor), centre) < _ONE_SCENE:
+        beside_it = grey_of(light_field, index, factor)
+        if alike(beside_it, centre) < _ONE_SCENE and _alike_moved(beside_it, centre) < _ONE_SCENE:
             u, v = light_field.positions[index]
             return (
                 f"The picture at row {v:g}, column {u:g} does not look like the reference beside it: perhaps the views "
@@ -154,7 +159,7 @@ def unmoved(light_field: LightField) -> str | None:
 
     def middle(index: int) -> NDArray[np.float64]:
         part = light_field.views[index, top : top + AROUND, left : left + AROUND]
-        return np.asarray(part.mean(axis=2, dtype=np.float64) * light_field.scale)
+        return mean_of_channels(part, np.float64) * light_field.scale
 
     here, centre = light_field.reference_index, middle(light_field.reference_index)
     lines = {int(n) for line in (light_field.row(), light_field.column()) for n in line} - {here}

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data.lightfield import LightField
+from lfgpu.data.windows import mean_of_channels
 from lfgpu.errors import LightFieldError
 from lfgpu.io.flips import ORDERS, places_in
 from lfgpu.io.images import read_image
@@ -88,9 +89,8 @@ def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
     """Return the motion (x, y) of blocks [y, x, 2] between pictures, pixels, and how well each of them shows it."""
     by_y, by_x = np.gradient((a + b) / 2)
     change = b - a - (b - a).mean()
-    xx, xy, yy, xt, yt = (
-        shrunk(np.asarray(p), _BLOCK) for p in (by_x * by_x, by_x * by_y, by_y * by_y, by_x * change, by_y * change)
-    )
+    products = np.stack([by_x * by_x, by_x * by_y, by_y * by_y, by_x * change, by_y * change])
+    xx, xy, yy, xt, yt = shrunk(products, _BLOCK)
     floor = 1e-2 * (xx + yy).mean() + 1e-12
     determinant = (xx + floor) * (yy + floor) - xy * xy
     x = -((yy + floor) * xt - xy * yt) / determinant
@@ -225,7 +225,7 @@ def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
     """Return a picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
     scale = 1.0 if picture.dtype.kind == "f" else float(np.iinfo(picture.dtype).max)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
-        return shrunk(picture.mean(axis=2, dtype=np.float64) / scale, max(1, max(picture.shape) // AROUND))
+        return shrunk(mean_of_channels(picture, np.float64) / scale, max(1, max(picture.shape) // AROUND))
 
 
 def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
@@ -258,12 +258,14 @@ def fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 def grey_of(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
     """Return a view [y, x], grey and `factor` times smaller, in [0, 1]."""
-    sums = light_field.views[index].sum(axis=2, dtype=np.float64)
-    return shrunk(sums * (light_field.scale / light_field.channels), factor)
+    return shrunk(mean_of_channels(light_field.views[index], np.float64) * light_field.scale, factor)
 
 
 def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
-    """Return means of blocks of factor x factor pixels; what is left at the right and below is cut off."""
-    height, width = (side // factor for side in image.shape)
-    cut = image[: height * factor, : width * factor]
-    return np.asarray(cut.reshape(height, factor, width, factor).mean(axis=(1, 3)))
+    """Return means of blocks of factor x factor pixels [..., y, x]; what is left at the right and below is cut off."""
+    *more, height, width = image.shape
+    height, width = height // factor, width // factor
+    cut = image[..., : height * factor, : width * factor]
+    rows = cut.reshape(*more, height, factor, width * factor).sum(axis=-2)
+    total = sum(rows[..., first::factor] for first in range(factor))  # NumPy is slow to add along short axes
+    return np.asarray(total / factor**2)
