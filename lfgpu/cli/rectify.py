@@ -97,7 +97,11 @@ def rectify(
         if result.light_field.geometry is None:
             raise LightFieldError("--points needs a calibration: without one there is no metric depth.")
         cloud = replace(estimation, disparity_range=result.disparity_range).run(result.light_field, quiet=quiet)
+    wrote_before = (out / "rectified.npz").is_file()
     cameras.write_rectified(result, out)
+    if wrote_before:  # what an earlier run said of another map
+        for name in (POINTS_FILE, DEPTH_FILE):
+            (out / name).unlink(missing_ok=True)
     if cloud is not None:
         save(cloud, out / POINTS_FILE, image=result.light_field.image(result.light_field.reference_index))
         if result.rig is not None:

@@ -17,7 +17,8 @@ _AROUND = 16  # brightness is that of a window of a 16th of the shorter side: pa
 
 
 def without_dark_parts(path: Path, light_field: LightField, valid: NDArray[np.bool_] | None = None) -> LightField:
-    """Mask what is less than half as bright as the reference view is around the same place, or what is not `valid`.
+    """Mask what is less than half as bright as the reference view is around the same place, or, if that is given, what
+    is not `valid`; what the light field masks already stays masked.
 
     Views of which nothing is left are left out, and the middle one of the others is the reference; errors name `path`.
     """
@@ -32,8 +33,10 @@ def without_dark_parts(path: Path, light_field: LightField, valid: NDArray[np.bo
     if valid is None:
         least = _DARK * brightness(light_field.reference_index)
         valid = np.stack([brightness(index) >= least for index in range(len(light_field.views))])
+    valid = valid.reshape(light_field.views.shape[:3])
     with naming(path):
-        masked = without_dark_views(replace(light_field, valid=valid.reshape(light_field.views.shape[:3])))
+        known = valid if light_field.valid is None else valid & light_field.valid
+        masked = without_dark_views(replace(light_field, valid=known))
     return replace(masked, reference=None)
 
 

@@ -12,7 +12,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import ASK_FOR_GRID, grid_field
 from lfgpu.io.brightness import without_dark_parts
 from lfgpu.io.folders import IMAGE_SUFFIXES
-from lfgpu.io.images import read_image, read_view
+from lfgpu.io.images import read_view
 from lfgpu.io.parallax import SMALLEST, alike, shrunk
 
 _MOST = 32  # views along a side that are looked for
@@ -153,7 +153,7 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
     `grid` is (rows, columns) of a block; None takes 14 x 14 for files named ESLF that this divides, and looks for the
     block in the picture otherwise.
     """
-    image, _ = read_image(path)
+    image, valid, _ = read_view(path)
     notes = []
     rows, columns = block_in(image)
     if grid is not None:
@@ -184,9 +184,13 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
         )
     if not _divides(grid, image):
         notes.append("Pixels at the right and the bottom that do not fill a block were left out.")
-    blocks = image[: height * rows, : width * columns].reshape(height, rows, width, columns, image.shape[2])
-    views = np.ascontiguousarray(blocks.transpose(1, 3, 0, 2, 4))
-    return without_dark_parts(path, grid_field(path, views, notes=notes))
+
+    def of_views(picture: NDArray[Any]) -> NDArray[Any]:
+        blocks = picture[: height * rows, : width * columns].reshape(height, rows, width, columns, -1)
+        return np.ascontiguousarray(blocks.transpose(1, 3, 0, 2, 4))
+
+    mask = None if valid is None or valid.all() else of_views(valid)[..., 0]
+    return without_dark_parts(path, grid_field(path, of_views(image), valid=mask, notes=notes))
 
 
 def _side_by_side(path: Path, shape: tuple[int, int]) -> str:

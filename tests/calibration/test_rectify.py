@@ -268,6 +268,8 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
     true = boxes.geometry.depth(boxes.truth.disparity)  # the reference camera is as it should be
     assert np.nanmedian(np.abs(depth / true - 1)) < 0.01
     assert np.load(tmp_path / "out" / "rectified.npz")["rotations"].shape == (9, 3, 3)
+    assert command("rectify", tmp_path, "-o", tmp_path / "out").code == 0
+    assert not list((tmp_path / "out").glob("*.ply")) + list((tmp_path / "out").glob("*.pfm"))  # of the first map
     refused(command("rectify", tmp_path, "-o", tmp_path / "o2", "--positions"), "--positions is for --refine")
 
 

@@ -46,6 +46,16 @@ def test_eslf_of_stanford_has_14_x_14_views_and_dark_corners(tmp_path: Path) -> 
     assert any("recorded nothing of use" in note for note in found.notes)
 
 
+def test_transparent_pixels_of_a_mosaic_are_masked_in_their_views(tmp_path: Path) -> None:
+    path = SAMPLES["mosaic"].write(scene((5, 5), (40, 48)), tmp_path)
+    image = Image.open(path).convert("RGBA")
+    image.putpixel((5 * 30 + 4, 5 * 20 + 1), (0, 0, 0, 0))  # of the view in row 1, column 4
+    image.save(path)
+    found = read(path)
+    assert found.valid is not None
+    assert np.argwhere(~found.valid[found.index_of(1, 4)]).tolist() == [[20, 30]]
+
+
 def test_pictures_are_no_mosaics(tmp_path: Path, true: LightField) -> None:
     Image.fromarray(np.kron(true.views[0], np.ones((4, 4, 1), np.uint8))[:150, :187]).save(tmp_path / "a.png")
     assert "no block of pixels repeats" in refusal(lambda: read(tmp_path / "a.png", format="mosaic"))
