@@ -238,7 +238,7 @@ def test_right_cameras_change_nothing_and_brightness_no_confidence() -> None:
 def test_the_spread_is_how_far_each_view_moves_a_pixel(rng: np.random.Generator) -> None:
     """Shift, turn (from x to y) and scale of each view as a matrix, applied to pixels of a corner and of the middle."""
     count, used = len(planes().views), [0, 4, 7, 20]
-    shift, turn, scale = rng.normal(0, 0.5, (count, 2)), rng.normal(0, 0.01, count), rng.normal(0, 0.01, count)
+    shift, turn, scale = rng.uniform(-0.5, 0.5, (count, 2)), rng.normal(0, 0.01, count), rng.normal(0, 0.01, count)
     alone = np.full((1, 2), 30.0), np.array([0.2]), np.array([0.3])  # one that is far off draws nothing
     shifts, turns, scales = (np.concatenate(parts) for parts in zip((shift, turn, scale), alone, strict=True))
     offsets = np.concatenate([planes().offsets, [(0.5, 0.5)]])
