@@ -128,14 +128,14 @@ def square_before_a_wall(noise: float, rng: np.random.Generator) -> LightField:
 
 
 def test_a_wall_of_noise_comes_less_near_in_further_sweeps(rng: np.random.Generator) -> None:
-    walls = [square_before_a_wall(0.03, rng) for _ in range(3)]  # noise of one alone may do the opposite
+    walls = [square_before_a_wall(0.03, rng) for _ in range(4)]  # noise of one alone may do the opposite
 
     def near(ambiguity: float) -> float:
         config = preset("accurate").with_tuning({"sweep.ambiguity": ambiguity})
         results = [estimate_depth(lf, disparity_range=(-3, 3), config=config, check_cameras=False) for lf in walls]
         return float(np.mean([result.stages["resweep"] > 1 for result in results]))
 
-    assert near(preset("accurate").tuning.sweep.ambiguity) < near(1.0) - 0.02
+    assert near(preset("accurate").tuning.sweep.ambiguity) < near(1.0) - 0.05
 
 
 def test_every_difference_may_be_a_depth_edge() -> None:
