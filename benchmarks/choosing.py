@@ -27,12 +27,15 @@ from lfgpu.methods.base import Method
 from lfgpu.methods.matching.config import PRESETS, MatchingConfig
 from lfgpu.methods.matching.learned import WeightsFile
 from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.training.compared import Windows
 from lfgpu.training.generator import Generator
 from lfgpu.training.network import FOLD, Choice
+from lfgpu.training.scenes import SPANS
 
 _DISTURBED = 0.2  # standard deviation of factors of weights
 _TOGETHER = 8  # light fields of one array of cameras
 _REFRESH = 40  # arrays after which the textures are drawn anew
+_SPANS = SPANS[0], Windows.spans[1]  # pixels in the farthest view: in wide ranges the network is another one
 _MASKED = 0.25  # share of the arrays whose lenses are round
 _LENS = 0.55, 0.7  # radius of what these show, in diameters of the largest circle in a view
 _SLACK = 1.0, 6.0  # pixels in the farthest view by which ranges are wider than the truth at either end
@@ -119,7 +122,7 @@ def draw(
     found = list[tuple[NDArray[Any], ...]]()
     for drawn in count():
         if drawn % _REFRESH == 0:
-            generator = Generator((seed, 9, drawn), device, side=side)
+            generator = Generator((seed, 9, drawn), device, side=side, spans=_SPANS)
         batch = generator.draw(drawn, _TOGETHER)
         offsets = np.concatenate([batch.offsets, np.zeros((1, 2))])
         apart = np.abs(offsets[:, None] - offsets).max(2)

@@ -138,7 +138,7 @@ def test_the_wheel_has_the_code_and_nothing_else(wheel: Path) -> None:
     shim = ROOT / "lfgpu" / "kernels.py"
     expected = {path.relative_to(ROOT) for path in CODE - {shim}}
     expected |= {Path("lfgpu/kernels/warp/native", path.name) for path in (ROOT / "kernels/warp/native").iterdir()}
-    weights = {Path(f"lfgpu/methods/matching/{name}.npz") for name in ("weights", "choice")}
+    weights = {Path(f"lfgpu/methods/matching/{name}.npz") for name in ("weights", "choice", "windows")}
     expected |= {Path("lfgpu/py.typed"), *weights} | {
         path.relative_to(ROOT) for path in (ROOT / "lfgpu" / "native").iterdir()
     }

@@ -18,7 +18,7 @@ from lfgpu.contract import Device
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
-from lfgpu.methods import PRESETS, method_of
+from lfgpu.methods import method_of
 from lfgpu.methods.matching import frame
 from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.pipelines.pipeline import DepthPipeline
@@ -105,8 +105,7 @@ def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: p
         assert_equal(lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False), result)
     counts = [0]  # the volumes of a network hold all disparities that it compares, and no others
     if config == "surest":
-        sweep, farthest = PRESETS[config].sweep, fields[0].layout.farthest
-        counts = [padded_disparities(bounds, farthest, sweep).count for bounds in ranges]
+        counts = [padded_disparities(bounds, fields[0].layout.farthest).count for bounds in ranges]
     assert made == ["plan", "graph"] * (1 + np.count_nonzero(np.diff(counts)))
 
 

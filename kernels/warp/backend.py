@@ -12,6 +12,7 @@ from .control import asking, capture, is_deterministic, kernel_cache, prepare, r
 from .convolution import convolution
 from .cost_volume import add_reduced, least_costs, nlm_average, winner_takes_all
 from .edges import edge_weights
+from .facets import facets, planes
 from .lbfgs import lbfgs
 from .measuring import quantile, window_grain
 from .memory import clear, devices, field, image, number, numpy, scalar, shared, upload, zeros, zeros_image

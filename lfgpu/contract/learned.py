@@ -37,6 +37,9 @@ LEAST_ODDS, LEAST_WIDTH = 1e-3, 0.05
 """Offsets of a probability, and of a deviation in steps, that keep their logarithms finite."""
 
 
+FACET_REACH = 2
+"""Pixels on each side of a pixel through which `facets` fits a plane."""
+
 COMPARED = 12
 """Features of a pixel that `compare_maps` gives."""
 
@@ -151,6 +154,20 @@ class Learned(Protocol):
 
         With f = `peak_features`(probability, deviation / step), the confidence is the logistic function of
         share[:3] . f + share[3] log(limit / step), and the variance is step^2 exp(spread . f). All maps are [y, x].
+        """
+
+    def planes(self, map_: Array, *, planes_out: Array) -> None:
+        """Fit a plane to the pixels of a map [y, x] that are at most FACET_REACH rows and columns from each pixel.
+
+        planes_out is an image [y, x, 4]: the plane's value at the pixel, its slopes along x and y (0 in a window of one
+        column or row), and the mean square difference of the pixels in the image from it.
+        """
+
+    def facets(self, planes: Array, *, facets_out: Array) -> None:
+        """Compute a map of the best ones of `planes` [y, x, 4].
+
+        Each pixel of facets [y, x] is the value, at this pixel, of the plane with the least mean square difference of
+        those of all pixels at most FACET_REACH rows and columns away; of several, the first one by rows.
         """
 
     def compare_maps(

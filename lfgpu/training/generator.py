@@ -12,7 +12,7 @@ import warp as wp
 from lfgpu.contract import Float64Array
 from lfgpu.training import casting
 from lfgpu.training.rig import Rig
-from lfgpu.training.scenes import Tables, draw_array, draw_scenes
+from lfgpu.training.scenes import SPANS, Tables, draw_array, draw_scenes
 from lfgpu.training.sectors import order_of_sectors, warp_stream
 from lfgpu.training.textures import SIDE, draw_textures
 
@@ -78,6 +78,8 @@ class Generator:
         Rays of a pixel, each way.
     rig
         The cameras that all light fields are of. Default None: cameras of any kind.
+    spans
+        Pixels in the farthest view over which the disparities of a scene are spread, unless the rig says it.
     """
 
     margin = 16
@@ -91,8 +93,9 @@ class Generator:
         textures: int = 64,
         rays: int = 4,
         rig: Rig | None = None,
+        spans: tuple[float, float] = SPANS,
     ) -> None:
-        self.seed, self.device, self.side, self.rays, self.rig = seed, device, side, rays, rig
+        self.seed, self.device, self.side, self.rays, self.rig, self._spans = seed, device, side, rays, rig, spans
         drawn = draw_textures(textures, np.random.default_rng((*seed, 1)))
         self._textures = wp.array(drawn, dtype=wp.vec3f, device=device)
         for index in range(textures // 2, textures):  # pictures of generated scenes are textures, too
@@ -105,7 +108,7 @@ class Generator:
         order, starts = order_of_sectors(offsets)
         offsets = offsets[order]
         limits = None if self.rig is None else self.rig.limits
-        tables = draw_scenes(scenes, self.side, rng, textures=self._textures.shape[0], limits=limits)
+        tables = draw_scenes(scenes, self.side, rng, textures=self._textures.shape[0], spans=self._spans, limits=limits)
         everywhere = np.concatenate([offsets, np.zeros((1, 2))])
         gains = 1 + 0.01 * rng.standard_normal((scenes, len(everywhere))) * (rng.random((scenes, 1)) < 0.25)
         shifts = 0.05 * rng.standard_normal((scenes, len(everywhere), 2)) * (rng.random((scenes, 1, 1)) < 0.2)

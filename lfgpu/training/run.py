@@ -17,8 +17,9 @@ import torch.distributed as dist
 from lfgpu.io import atomic_write
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.threads import on_signal
+from lfgpu.training.compared import WholeRanges
 from lfgpu.training.rig import Rig
-from lfgpu.training.train import Settings, Trainer, Validation
+from lfgpu.training.train import Compared, Settings, Trainer, Validation
 from lfgpu.training.weights import write_weights
 from lfgpu.viz.sheets import comparison
 
@@ -36,6 +37,7 @@ def run(
     seconds: float,
     rig: Rig | None = None,
     start: Weights | None = None,
+    compared: Compared = WholeRanges,
     on_step: Callable[[int, dict[str, Any]], None] | None = None,
 ) -> tuple[int, Validation]:
     """Train for some time, or to the end, validate, and write the weights.
@@ -44,7 +46,7 @@ def run(
 
     Parameters
     ----------
-    settings, folder, rig, start
+    settings, folder, rig, start, compared
         As for `Trainer`; the folder also gets a picture of the validation.
     out
         The file of weights, .npz.
@@ -60,7 +62,7 @@ def run(
     int, Validation
         The number of steps that are done, and the errors.
     """
-    several: dict[str, Any] = {"rig": rig, "start": start, "world": len(devices)}
+    several: dict[str, Any] = {"rig": rig, "start": start, "compared": compared, "world": len(devices)}
     with tempfile.TemporaryDirectory() as place:
         meeting = f"file://{place}/meeting"
         others = [

@@ -19,8 +19,8 @@ from lfgpu.training.textures import SMOOTH
 ROOM = 4
 """Primitives of a scene that are its background, floor and walls."""
 
-MOST_SPAN = 40.0
-"""Pixels in the farthest view over which the disparities of a scene are spread, at most."""
+SPANS = 1.5, 40.0
+"""Pixels in the farthest view over which the disparities of a scene are spread."""
 
 _ANGLES = 6.2832
 _MOST_VIEWS = 40  # beside the reference, that are kept of a larger array
@@ -69,18 +69,20 @@ def draw_scenes(
     *,
     primitives: int = 30,
     textures: int = 64,
+    spans: tuple[float, float] = SPANS,
     limits: tuple[float, float] | None = None,
 ) -> Tables:
     """Draw scenes for pictures of about `side` pixels, whose textures are the first `textures` of a set.
 
-    Their disparities lie about within `limits`, pixels in the farthest view; by default in any range.
+    Their disparities are spread over the `spans`, pixels in the farthest view, in any range, or lie about within
+    `limits`.
     """
     each, one = Draw(rng, (count, primitives)), Draw(rng, (count, 1))
     slots = np.arange(primitives)[None]
-    span = one.scale(1.5, MOST_SPAN)
+    span = one.scale(*spans)
     low = np.where(one.often(0.7), -span * one.uniform(0.2, 0.8), one.uniform(-20, 20) - span / 2)
     if limits is not None:
-        whole = min(limits[1] - limits[0], MOST_SPAN)
+        whole = min(limits[1] - limits[0], spans[1])
         span = whole * np.where(one.often(0.5), one.uniform(0.85, 1.0), one.uniform(0.3, 1.0))
         low = limits[0] + (limits[1] - limits[0] - span) * one.uniform()
     shapes = _table(casting.Shape, each.shape)
@@ -98,7 +100,7 @@ def draw_scenes(
     large = one.scale(0.6, 1.5) * each.scale(0.02, 0.4) * side
     aspect = each.scale(0.35, 3.0)
     size = np.stack([large * aspect, large / aspect, np.minimum(span * each.uniform(0.02, 0.4), 0.5 * large)], -1)
-    steep = each.scale(0.002, 0.15) * each.often(0.7)
+    steep = each.scale(0.002, 0.15) * np.maximum(span / SPANS[1], 1) * each.often(0.7)  # wide ranges turn surfaces more
     towards = each.uniform(0, _ANGLES)
     slope = np.stack([steep * np.cos(towards), steep * np.sin(towards)], -1)
 

@@ -20,6 +20,7 @@ from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
 from lfgpu.methods.matching.unet import Weights
+from lfgpu.training.compared import WholeRanges, Windows, count_of
 from lfgpu.training.generator import Batch, Generator
 from lfgpu.training.network import MULTIPLE, Network, certainty, estimate, peak
 from lfgpu.training.rig import Rig
@@ -28,7 +29,6 @@ from lfgpu.training.weights import unfold
 
 _WARM_UP = 200  # steps over which the learning rate rises
 _SHOWN = 100  # steps from one line of the log to the next
-_NARROW = 30.0  # pixels in the farthest view: a rig's range that is not wider is compared whole
 _LARGE, _EVERY = 5 / 3, 3  # every so many batches light fields are larger by this, and as many fewer
 _FINE = 0.03  # pixels in the farthest view from which the loss grows like the logarithm of the error
 _SHOWN_FIRST = 8  # batches that a network which begins with given weights is shown
@@ -39,6 +39,8 @@ _STEPS = 4.0  # view steps to the farthest view of a grid of 9 x 9, in which map
 
 RATE, RATE_LIKE = 2e-3, 5e-4
 """Largest learning rates, of random weights and of those that lfgpu comes with."""
+
+Compared = type[WholeRanges] | type[Windows]
 
 STATE_FILE, LOG_FILE = "state.pt", "log.jsonl"
 
@@ -64,44 +66,25 @@ class Settings:
     """Batches of a validation."""
 
 
-def disparities_for(
-    batch: Batch, rng: np.random.Generator, count: int, limits: tuple[float, float] | None = None
-) -> tuple[Tensor, Tensor, int]:
-    """Draw the disparities to compare, a range that holds the truth: the first of each pixel, the steps [b], the count.
-
-    It is about the `limits` of a rig, with as many disparities as it needs, if these are narrow.
-    """
-    low, high = batch.truth.amin((1, 2)).cpu().numpy(), batch.truth.amax((1, 2)).cpu().numpy()
-    if limits is not None and limits[1] - limits[0] < _NARROW:
-        found = sorted(limits + 0.1 * (limits[1] - limits[0]) * rng.uniform(-0.5, 1, 2) * (-1, 1))
-        low, high = np.minimum(low, found[0]), np.maximum(high, found[1])
-        count = 4 * math.ceil((float((high - low).max()) / rng.uniform(0.45, 0.6) + 5) / 4)
-    step = np.maximum(rng.uniform(0.4, 0.9, len(low)), (high - low) / (count - 5))
-    free = np.maximum(step * (count - 4) - (high - low), 0)
-    first = low - step * 1.5 - rng.uniform(0, 1, len(low)) * free
-    first, step = (torch.tensor(x, dtype=torch.float32, device=batch.truth.device) for x in (first, step))
-    return first[:, None, None].expand_as(batch.truth).contiguous(), step, count
-
-
-def count_of(*seed: int) -> int:
-    """Draw how many disparities to compare."""
-    return int(np.random.default_rng(seed).choice([20, 28, 36, 48], p=[0.25, 0.3, 0.3, 0.15]))
-
-
 def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[str, Tensor]:
     """Give the loss of logits [b, l, y, x] against the truth [b, y, x], its parts and errors, by name.
 
-    Errors are shares of pixels that are off by more than 0.28, 0.12 and 0.04 pixels in the farthest view (0.07, 0.03
-    and 0.01 per view step of a grid of 9 x 9), and the mean square of errors of at most 8 pixels.
+    Pixels whose truth lies more than half a step beyond the compared disparities have no loss. Errors are shares of
+    pixels that are off by more than 0.28, 0.12 and 0.04 pixels in the farthest view (0.07, 0.03 and 0.01 per view step
+    of a grid of 9 x 9), and the mean square of errors of at most 8 pixels.
     """
     count = logits.shape[1]
-    place = ((truth - first) / steps[:, None, None]).clamp(0, count - 1)[:, None]
+    place = (truth - first) / steps[:, None, None]
+    inside = ((place > -0.5) & (place < count - 0.5)).float()
+    weight = inside / inside.mean().clamp(min=1e-3)
+    place = place.clamp(0, count - 1)[:, None]
     below = place.floor().clamp(max=count - 2)
     share, below = place - below, below.long()
     logs = logits.log_softmax(1)
-    likelihood = -((1 - share) * logs.gather(1, below) + share * logs.gather(1, below + 1)).mean()
+    likelihood = -((1 - share) * logs.gather(1, below) + share * logs.gather(1, below + 1))[:, 0]
     error = (peak(logits, first, steps) - truth).abs()
-    exact = torch.log1p(error.clamp(max=8) / _FINE).mean()
+    exact = torch.log1p(error.clamp(max=8) / _FINE)
+    likelihood, exact = ((weight * part).mean() for part in (likelihood, exact))
     with torch.no_grad():
         found = {f"bad {limit}": (error > limit).float().mean() for limit in (0.28, 0.12, 0.04)}
         found["mse"] = error.clamp(max=8).square().mean()
@@ -145,6 +128,8 @@ class Trainer:
         The cameras that are learned. Default None: cameras of any kind.
     start
         The weights that training begins with. Default None: random ones.
+    compared
+        The disparities that are compared. Default: whole ranges.
 
     Raises
     ------
@@ -162,9 +147,10 @@ class Trainer:
         world: int = 1,
         rig: Rig | None = None,
         start: Weights | None = None,
+        compared: Compared = WholeRanges,
     ) -> None:
         self.settings, self.folder, self.device, self.rank, self.world = settings, folder, device, rank, world
-        self.rig, self.stopped = rig, False
+        self.rig, self.stopped, self._spans = rig, False, compared.spans
         torch.manual_seed(settings.seed)
         self.network, self.mean = Network().to(device), Network().to(device)
         self.optimiser = torch.optim.AdamW(self.network.parameters(), settings.rate, weight_decay=1e-3)
@@ -175,6 +161,7 @@ class Trainer:
         if not is_new:
             self._read()
         self._begin_era()
+        self._compared = compared(self)
         if is_new:
             if start is not None:
                 unfold(start, self.network, self._show)
@@ -217,12 +204,8 @@ class Trainer:
         for number in range(_SHOWN_FIRST):
             batch = self.generator.draw(number, self.settings.scenes)
             count = count_of(self.settings.seed, 5, number)
-            first, steps, count = disparities_for(batch, rng, count, self._limits)
+            first, steps, count = self._compared(batch, rng, count)
             self._logits(network, batch, first, steps, count)
-
-    @property
-    def _limits(self) -> tuple[float, float] | None:
-        return None if self.rig is None else self.rig.limits
 
     def run(self, seconds: float, on_step: Callable[[int, dict[str, Any]], None] | None = None) -> None:
         """Train for some time, or to the end of the schedule, or until `stopped` is set, and write the state.
@@ -271,7 +254,7 @@ class Trainer:
         for group in self.optimiser.param_groups:
             group["lr"] = self._rate()
         # All processes compare as many disparities: they wait for each other.
-        first, steps, count = disparities_for(batch, rng, count_of(self.settings.seed, 7, self.step), self._limits)
+        first, steps, count = self._compared(batch, rng, count_of(self.settings.seed, 7, self.step))
         kind = torch.device(self.device).type
         # The kernels of a GPU compute in float16, too; bfloat16 loses faint texture. On a CPU both are slow.
         with torch.autocast(kind, dtype=torch.float16, enabled=kind == "cuda"):
@@ -309,7 +292,7 @@ class Trainer:
         for number in range(self.settings.unseen):
             batch = generator.draw(number, self.settings.scenes)
             count = count_of(self.settings.seed, 6, number)
-            first, steps, count = disparities_for(batch, rng, count, self._limits)
+            first, steps, count = self._compared(batch, rng, count)
             with torch.no_grad():
                 logits = self._logits(network, batch, first, steps, count)
             for name, value in losses(logits, batch.truth, first, steps).items():
@@ -342,7 +325,8 @@ class Trainer:
 
     def _generator(self, era: int, side: int) -> Generator:
         """Make a source of batches of this process."""
-        return Generator((self.settings.seed, era, self.rank), self.device, side=side, rig=self.rig)
+        seed = self.settings.seed, era, self.rank
+        return Generator(seed, self.device, side=side, rig=self.rig, spans=self._spans)
 
     def _rate(self) -> float:
         """Give the learning rate of the next step: half a cosine, after a warm-up."""

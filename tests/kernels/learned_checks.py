@@ -280,6 +280,55 @@ def choose(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {name: out[f"{name}_out"] for name in names}
 
 
+@dataclass(frozen=True)
+class FacetCase(checks.Case):
+    """A map of two planes beside each other, with `noise`."""
+
+    size: tuple[int, int] = (13, 17)
+    noise: float = 0.125
+    level: float = 0.0
+
+    @property
+    def tolerance(self) -> float:
+        return 1e-5
+
+
+FACET_CASES = (
+    FacetCase("two planes"),
+    FacetCase("far from 0", level=64.0),
+    FacetCase("noise alone", noise=4.0),
+    FacetCase("one row", size=(1, 12)),
+    FacetCase("one column", size=(12, 1)),
+    FacetCase("two rows", size=(2, 9)),
+    FacetCase("smaller than a window", size=(3, 4)),
+    FacetCase("one pixel", size=(1, 1)),
+    FacetCase("work for several threads", size=(41, 150)),
+)
+
+
+def facet_inputs(case: FacetCase, rng: np.random.Generator) -> SimpleNamespace:
+    y, x = np.indices(case.size)
+    slopes = rng.uniform(-0.5, 0.5, (2, 3))
+    left, right = (level + by_x * x + by_y * y for level, by_x, by_y in slopes)
+    map_ = case.level + np.where(x + 2 * y < sum(case.size), left, 3 + right) + case.noise * rng.normal(size=case.size)
+    found = rng.normal(size=(*case.size, 4))
+    found[..., 3] = np.abs(found[..., 3])
+    return SimpleNamespace(map_=checks.float32(map_), planes=checks.float32(found))
+
+
+def planes(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.image_out((*i.map_.shape, 4))
+    desk.kernels.planes(desk.field(i.map_), planes_out=out)
+    found = desk.kernels.numpy(out)
+    return {name: desk.kernels.field(found[..., n], desk.device) for n, name in enumerate(("level", "x", "y", "rest"))}
+
+
+def facets(desk: Desk, i: SimpleNamespace) -> Outputs:
+    out = desk.out(i.map_.shape)
+    desk.kernels.facets(desk.image(i.planes), facets_out=out)
+    return {"facets": out}
+
+
 def brightness(desk: Desk, i: SimpleNamespace) -> Outputs:
     """Of an image, of a dark one and of a bright one."""
     found = {}
@@ -403,5 +452,7 @@ OPERATIONS = (
     Operation(judge_peak, "peak"),
     Operation(compare_maps, "choice"),
     Operation(choose, "choice"),
+    Operation(planes, "facets"),
+    Operation(facets, "facets"),
 )
-BRIGHTNESS, FOLDING, SECTOR_COSTS, CONVOLUTION, PEAK, JUDGE_PEAK, COMPARE_MAPS, CHOOSE = OPERATIONS
+BRIGHTNESS, FOLDING, SECTOR_COSTS, CONVOLUTION, PEAK, JUDGE_PEAK, COMPARE_MAPS, CHOOSE, PLANES, FACETS = OPERATIONS

@@ -46,6 +46,7 @@ INPUTS: dict[str, tuple[tuple[Any, ...], Any]] = {
     "convolution": (learned_checks.CONVOLUTION_CASES, learned_checks.convolution_inputs),
     "peak": (learned_checks.PEAK_CASES, learned_checks.peak_inputs),
     "choice": (learned_checks.CHOICE_CASES, learned_checks.choice_inputs),
+    "facets": (learned_checks.FACET_CASES, learned_checks.facet_inputs),
     "seen": (splat_checks.SEEN_CASES, splat_checks.seen_inputs),
     "views": (view_checks.VIEWS_CASES, view_checks.views_inputs),
     "resampling": (resampling_checks.RESAMPLING_CASES, resampling_checks.resampling_inputs),

@@ -15,14 +15,17 @@ from checks import compute
 from learned_checks import (
     CHOICE_CASES,
     CONVOLUTION_CASES,
+    FACET_CASES,
     PEAK_CASES,
     SECTOR_CASES,
     ChoiceCase,
     ConvolutionCase,
+    FacetCase,
     PeakCase,
     SectorCase,
     choice_inputs,
     convolution_inputs,
+    facet_inputs,
     peak_inputs,
     sector_inputs,
 )
@@ -462,3 +465,30 @@ def test_features_and_choices_are_those_of_each_pixel(case: ChoiceCase, rng: np.
         assert chosen["confidence"][inside] == pytest.approx(1 / (1 + math.exp(-right)))
         deviation = math.exp(min(max(size, -7), 4)) / case.farthest
         assert chosen["variance"][inside] == pytest.approx(deviation**2)
+
+
+@pytest.mark.parametrize("case", FACET_CASES, ids=str)
+def test_planes_are_those_of_least_squares_and_facets_the_best_of_them(
+    case: FacetCase, rng: np.random.Generator
+) -> None:
+    i, reach = facet_inputs(case, rng), 2
+    height, width = case.size
+    found = compute(REFERENCE, "cpu", learned_checks.PLANES, i)
+    best = compute(REFERENCE, "cpu", learned_checks.FACETS, i)["facets"]
+    for _ in range(20):
+        y, x = int(rng.integers(height)), int(rng.integers(width))
+        near = [
+            (j, k)
+            for j in range(max(y - reach, 0), min(y + reach + 1, height))
+            for k in range(max(x - reach, 0), min(x + reach + 1, width))
+        ]
+        places = np.array([(1.0, k - x, j - y) for j, k in near])
+        values = np.array([i.map_[place] for place in near], np.float64)
+        # Of a single row or column, whose slope is free, the solution of least norm has the slope 0.
+        numbers = np.linalg.lstsq(places, values, rcond=None)[0]
+        got = [found[name][y, x] for name in ("level", "x", "y")]
+        np.testing.assert_allclose(got, numbers, atol=1e-9)
+        assert found["rest"][y, x] == pytest.approx(np.mean((values - places @ numbers) ** 2), abs=1e-12)
+        value, by_x, by_y, _ = min((i.planes[place] for place in near), key=lambda plane: plane[3])
+        j, k = min(near, key=lambda place: i.planes[place][3])
+        assert best[y, x] == pytest.approx(value + by_x * (x - k) + by_y * (y - j), abs=1e-6)

@@ -6,13 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import ClassVar
 
-from lfgpu.contract import Array, Disparities
+import numpy as np
+
+from lfgpu.contract import Array
 from lfgpu.methods.matching.base import Aggregation, Swept
 from lfgpu.methods.matching.costs import noise_cost
-from lfgpu.methods.matching.disparities import padded_disparities
-from lfgpu.methods.matching.frame import SweptViews
-from lfgpu.methods.matching.learned import Network, weights_of
+from lfgpu.methods.matching.disparities import NETWORK_STEP, WINDOW, network_reach, padded_disparities
+from lfgpu.methods.matching.frame import Frame, Selection, SweptViews
+from lfgpu.methods.matching.learned import Network, weights_of, weights_of_windows
 
+_EQUAL = 1e-6  # pixels in the farthest view
 _RIGHT = 0.07  # pixels per view step: the confidence is the probability of smaller errors
 
 
@@ -83,53 +86,102 @@ class SemiGlobal(Aggregation):
 
 
 class Learned(Aggregation):
-    """The network of `learned.py`, trained on generated light fields, over costs by angular sector."""
+    """The networks of `learned.py`, trained on generated light fields, over costs by angular sector of all used views.
+
+    The first one compares a whole range. If it would have to compare more disparities than it was trained with, it
+    looks at the views near the reference, where fewer suffice, and a second one compares a few disparities around that
+    map in all views. These begin on facets of the map, so that a turned surface is level among them.
+    """
 
     has_own_costs: ClassVar[bool] = True
 
     def __init__(self, views: SweptViews) -> None:
-        frame, layout = views.frame, views.layout
+        frame = views.frame
+        layout, arena = frame.layout, frame.arena
+        self._frame, self._kernels, self._weights = frame, frame.kernels, weights_of(frame.config.weights)
+        reach = network_reach(layout.offsets, frame.bounds)
+        near = np.flatnonzero(np.abs(layout.offsets).max(1) <= reach).tolist()
+        chosen = None if len(near) == layout.count else near
+        selection = Selection(frame, "views near the reference", chosen, layout.subset(near), layout.dtype)
+        planned = padded_disparities(frame.bounds, reach)
+        self._step, self._windows = planned.step, None
 
-        def compared(bounds: tuple[float, float]) -> Disparities:
-            return padded_disparities(bounds, layout.farthest, frame.config.sweep)
+        def fits(bounds: tuple[float, float]) -> bool:
+            is_same = network_reach(layout.offsets, bounds) == reach
+            return is_same and replace(padded_disparities(bounds, reach), first=planned.first) == planned
 
-        planned = compared(frame.bounds)
-        self._kernels, self._step = frame.kernels, planned.step
-        frame.fits.append(lambda bounds: replace(compared(bounds), first=planned.first) == planned)
-        self._weights = weights_of(frame.config.weights)
-        with frame.arena.scratch() as scratch:
+        frame.fits.append(fits)
+        with arena.scratch() as scratch:
             self._probability, self._deviation = scratch.fields(2, frame.size)
-            self._network = Network(frame.arena, self._weights, layout, planned.count)
+            self._network = Network(arena, self._weights, selection.layout, planned.count)
+        if planned.step * layout.farthest > NETWORK_STEP + _EQUAL:
+            self._windows = Windows(frame)
         self.image, self.factor = self._network.image, self._network.factor
-        views.on_load(lambda *_: self._network.load(*frame.thinned))
-        self._lowest = frame.arena.number(lambda: compared(frame.bounds).first)
-        self._first = frame.arena.field("first of the network", frame.size)
+        views.on_load(lambda *_: self._load(selection))
+        self._lowest = arena.number(lambda: padded_disparities(frame.bounds, reach).first)
+        self._first = arena.field("first of the network", frame.size)
         self.confidence, self.variance = (
-            frame.arena.field(f"{name} of the network", frame.size) for name in ("confidence", "variance")
+            arena.field(f"{name} of the network", frame.size) for name in ("confidence", "variance")
         )
 
     def __call__(self, swept: Swept, disparity_out: Array) -> None:
         """See `Aggregation`."""
         assert self.confidence is not None
         assert self.variance is not None
-        self._kernels.fill(self._lowest, self._first)
-        self._network(
-            self._first,
-            step=self._step,
-            disparity_out=disparity_out,
-            probability_out=self._probability,
-            deviation_out=self._deviation,
-        )
-        self._kernels.judge_peak(
+        kernels, windows = self._kernels, self._windows
+        outputs = {"disparity_out": disparity_out, "probability_out": self._probability}
+        outputs["deviation_out"] = self._deviation
+        kernels.fill(self._lowest, self._first)
+        self._network(self._first, step=self._step, **outputs)
+        step, weights = self._step, self._weights
+        if windows is not None:
+            step, weights = windows.step, windows.weights
+            windows.begin(disparity_out, self._first)
+            windows.network(self._first, step=step, **outputs)
+        kernels.judge_peak(
             self._probability,
             self._deviation,
-            step=self._step,
+            step=step,
             limit=_RIGHT,
-            share=[float(weight) for weight in self._weights["share"]],
-            spread=[float(weight) for weight in self._weights["spread"]],
+            share=[float(weight) for weight in weights["share"]],
+            spread=[float(weight) for weight in weights["spread"]],
             confidence_out=self.confidence,
             variance_out=self.variance,
         )
+
+    def _load(self, selection: Selection) -> None:
+        """Take the views of the frame."""
+        self._network.load(*selection.of(*self._frame.used))
+        if self._windows is not None:
+            self._windows.network.load(*self._frame.used)
+
+
+class Windows:
+    """The network that compares a few disparities around a map, in all used views."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._kernels, self.weights = frame.kernels, weights_of_windows()
+        self.step = NETWORK_STEP / frame.layout.farthest
+        """The distance of the disparities, pixels per view step."""
+        self._ones = frame.prior.ones
+        with frame.arena.scratch() as scratch:
+            self._planes, self._apart = scratch.image((*frame.size, 4)), scratch.field(frame.size)
+        with frame.arena.scratch():
+            self.network = Network(frame.arena, self.weights, frame.layout, WINDOW)
+
+    def begin(self, map_: Array, first_out: Array) -> None:
+        """Find the first disparity of each pixel [y, x] around a map [y, x].
+
+        Where the window around the facet would not hold the map, as on a thin bar, it lies around the map instead.
+        """
+        kernels, apart, half = self._kernels, self._apart, self.step * (WINDOW - 1) / 2
+        kernels.planes(map_, planes_out=self._planes)
+        kernels.facets(self._planes, facets_out=first_out)
+        kernels.axpby(1.0, first_out, -1.0, map_, apart)
+        kernels.multiply(apart, apart, apart)
+        kernels.threshold(apart, half**2, apart)
+        kernels.select(apart, map_, first_out, first_out)
+        kernels.axpby(1.0, first_out, -half, self._ones, first_out)
 
 
 AGGREGATIONS: Mapping[str, Callable[[SweptViews], Aggregation]] = {

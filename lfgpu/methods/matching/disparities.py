@@ -13,8 +13,18 @@ from lfgpu.methods.matching.learned import DISPARITIES
 _DIRECTIONS = 8  # in which partial view sets lie
 _ON_LINE = 1e-3  # view steps: a view that is nearer to a border lies on it
 _ON_BOUND = 1e-6  # steps: a disparity that is nearer to a bound lies on it
-_NETWORK_STEP = 0.5  # pixels in the farthest view between disparities of the network, as it was trained
-_PADDING = 2  # disparities beyond either bound that the network compares: it was trained to find surfaces inside
+NETWORK_STEP = 0.5
+"""Pixels in the farthest view between disparities of the networks, as they were trained."""
+
+NETWORK_MOST = 64
+"""Disparities that the network of whole ranges compares at most: it was trained with 48, and goes a little further."""
+
+PADDED = 5
+"""Disparities that it compares beside those that span the range: it was trained to find surfaces inside."""
+
+WINDOW = 12
+"""Disparities that the network of windows compares, as it was trained."""
+
 _FEWEST = 3  # a minimum between two disparities is found from three
 _FEWEST_VIEWS = 4  # beside the reference, which wide ranges leave
 
@@ -44,16 +54,32 @@ def compared_reach(offsets: Float64Array, bounds: tuple[float, float], config: S
     It is as large as `config.max_labels` disparities allow at steps of `config.step` pixels there, but at least four
     views are left beside the reference.
     """
+    return reach_for(offsets, bounds[1] - bounds[0], step=config.step, count=config.max_labels - 2)
+
+
+def reach_for(offsets: Float64Array, span: float, *, step: float, count: int) -> float:
+    """Return the distance of the farthest views in which `count` steps of so many pixels are the span, or more.
+
+    At least four views beside the reference are at most as far.
+    """
     distances = np.sort(np.abs(offsets).max(1))
-    fits = distances[_FEWEST_VIEWS:] * (bounds[1] - bounds[0]) <= config.step * (config.max_labels - 2)
+    fits = distances[_FEWEST_VIEWS:] * span <= step * count
     return float(distances[-1] if len(fits) == 0 else distances[_FEWEST_VIEWS + max(int(fits.sum()), 1) - 1])
 
 
-def padded_disparities(bounds: tuple[float, float], farthest: float, config: SweepConfig) -> Disparities:
-    """Choose the disparities that the network compares: at least two steps more than the bounds on either side."""
+def network_reach(offsets: Float64Array, bounds: tuple[float, float]) -> float:
+    """Return the distance of the farthest views that the network of whole ranges compares, view steps."""
+    return reach_for(offsets, bounds[1] - bounds[0], step=NETWORK_STEP, count=NETWORK_MOST - PADDED)
+
+
+def padded_disparities(bounds: tuple[float, float], farthest: float) -> Disparities:
+    """Choose the disparities that the network of whole ranges compares: two steps more than the bounds on either side.
+
+    Where a range needs more than `NETWORK_MOST`, their steps are longer.
+    """
     low, high = bounds
-    step = max(_NETWORK_STEP / farthest, (high - low) / (config.max_labels - 2 * _PADDING - 1))
-    count = math.ceil((high - low) / step) + 1 + 2 * _PADDING
+    step = max(NETWORK_STEP / farthest, (high - low) / (NETWORK_MOST - PADDED))
+    count = math.ceil((high - low) / step - _ON_BOUND) + PADDED
     count += -count % DISPARITIES
     return Disparities((low + high) / 2 - step * (count - 1) / 2, step, count)
 

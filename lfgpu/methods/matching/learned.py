@@ -85,6 +85,12 @@ def _built_in() -> Weights:
     return read_weights(BUILT_IN)
 
 
+@cache
+def weights_of_windows() -> Weights:
+    """Read the weights of the network that compares windows around a map."""
+    return read_weights(Path(__file__).with_name("windows.npz"))
+
+
 BUILT_IN = Path(__file__).with_name("weights.npz")
 """The file of the weights that lfgpu comes with."""
 
