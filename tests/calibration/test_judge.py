@@ -12,6 +12,7 @@ from scipy import ndimage
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import residual_pictures
+from lfgpu.cameras import consensus
 from lfgpu.cameras.consensus import outliers, without_gauge
 from lfgpu.cameras.looking import seen_views
 from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
@@ -80,6 +81,19 @@ def test_exchanged_views_are_told_apart(boxes: LightField) -> None:
     assert found.place.tolist() == order.tolist()
     assert np.isnan(found.shift[[0, 2, 24]]).all()
     assert found.misalignment < 0.02
+
+
+def test_of_exchanged_views_only_the_one_that_is_tried_has_another_misfit(
+    boxes: LightField, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = np.arange(25)
+    order[[0, 24]] = [24, 0]
+    exchanged = replace(boxes, views=boxes.views[order])
+    asked, unlike = [], consensus.unlike
+    monkeypatch.setattr(consensus, "unlike", lambda misfit, offsets: asked.append(misfit) or unlike(misfit, offsets))
+    found = lfgpu.explain(exchanged, truth(boxes))
+    tried = [misfit != found.misfit for misfit in asked if (misfit != found.misfit).any()][-2:]
+    assert [np.flatnonzero(changed).tolist() for changed in tried] == [[0], [24]]
 
 
 @pytest.mark.parametrize("change", [lambda image: 0 * image, lambda image: image[::-1], lambda image: 255 - image])
