@@ -121,11 +121,8 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
-                if isinstance(image, TiffImageFile) and (others := further_pictures(path)):
-                    raise LightFieldError(
-                        f"{path} has {1 + others} pages of one size, but a view is one page: save the page that is the "
-                        "view alone, or as one page of RGB if the pages are its colours."
-                    )
+                if isinstance(image, TiffImageFile):
+                    _check_one_page(path)
                 pixels = _pixels(path, image)
                 if inverted:
                     pixels = _inverted(pixels)
@@ -209,6 +206,14 @@ def _is_misread_by_pillow(image: Image.Image) -> bool:
     return sixteen_bit_planes or big_endian_compressed_float
 
 
+def _check_one_page(path: Path) -> None:
+    if others := further_pictures(path):
+        raise LightFieldError(
+            f"{path} has {1 + others} pages of one size, but a view is one page: save the page that is the view alone, "
+            "or as one page of RGB if the pages are its colours."
+        )
+
+
 def _decode_tiff(path: Path) -> tuple[NDArray[Any], set[str]]:
     """Decode a TIFF that Pillow does not know (float colour, float64) or misreads, by way of the optional tifffile."""
     if importlib.util.find_spec("tifffile") is None:
@@ -220,6 +225,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], set[str]]:
     from tifffile import TiffFile
 
     check_pages(path)
+    _check_one_page(path)
     with TiffFile(path) as file:
         for page in file.pages:
             check_claim(path, page.shape, page.dtype or np.uint8)
