@@ -16,6 +16,7 @@ from command_line import lfgpu, refused
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
+from lfgpu.batch import items
 from lfgpu.batch.cluster import Cluster
 from lfgpu.batch.items import MANIFEST_FILE, find_items, fingerprint
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, read_manifest
@@ -358,3 +359,21 @@ def test_remnants_go_also_where_nothing_is_left_to_do(scene_folders: Path, tmp_p
     (tmp_path / ".lfgpu-0123").mkdir()
     assert Batch(items, tmp_path, FAST).run(local()).kept == 1
     assert_nothing_left_over(tmp_path)
+
+
+def test_a_disk_that_a_description_names_is_not_walked_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(items, "_MOST", 3)
+    disk, source = tmp_path / "disk", tmp_path / "one.toml"
+    disk.mkdir()
+    source.write_text('[source]\npath = "disk"\nformat = "camera-row"\n')
+    for n in range(4):
+        before = fingerprint(str(source))
+        assert fingerprint(str(source)) == before
+        (disk / f"{n}.png").write_bytes(b"")
+    assert fingerprint(str(source)) != fingerprint(str(source))  # what is not looked at may have changed
+    looked_at = []
+    monkeypatch.setattr(items.os, "walk", lambda *_, **__: (looked_at.append(n) or ("", [], ["a"]) for n in range(99)))
+    fingerprint(str(source))
+    assert len(looked_at) == 4
