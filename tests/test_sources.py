@@ -73,6 +73,16 @@ def test_one_video_for_each_camera_of_which_the_shortest_ends(videos: Path) -> N
         open_source(str(videos))
 
 
+@pytest.mark.parametrize("names", [("cam_0", "cam_1"), ("left", "right"), ("0", "1")])
+def test_a_film_that_is_not_named_as_those_of_cameras_is_asked_about(tmp_path: Path, names: tuple[str, ...]) -> None:
+    for k, name in enumerate(names):
+        write_video(tmp_path / f"{name}.mkv", [lf.views[k] for lf in film()])
+    assert len(open_source(str(tmp_path)).first.views) == 2
+    write_video(tmp_path / "preview.mkv", [lf.views[0] for lf in film()])
+    with pytest.raises(lfgpu.LightFieldError, match=rf"holds preview\.mkv, .* such as {names[0]}\.mkv: move out"):
+        open_source(str(tmp_path))
+
+
 def test_cameras_from_a_light_field(videos: Path) -> None:
     like = lfgpu.LightField(film()[0].views, film()[0].positions * [1.5, 1], reference=4)
     first = open_source(str(videos), Options(like=like)).first
