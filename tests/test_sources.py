@@ -79,7 +79,7 @@ def test_a_film_that_is_not_named_as_those_of_cameras_is_asked_about(tmp_path: P
         write_video(tmp_path / f"{name}.mkv", [lf.views[k] for lf in film()])
     assert len(open_source(str(tmp_path)).first.views) == 2
     write_video(tmp_path / "preview.mkv", [lf.views[0] for lf in film()])
-    with pytest.raises(lfgpu.LightFieldError, match=rf"holds preview\.mkv, .* such as {names[0]}\.mkv: move out"):
+    with pytest.raises(lfgpu.LightFieldError, match=rf"holds preview\.mkv, .* such as {names[0]}\.mkv: move what is"):
         open_source(str(tmp_path))
 
 

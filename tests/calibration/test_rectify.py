@@ -273,6 +273,24 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
     refused(command("rectify", tmp_path, "-o", tmp_path / "o2", "--positions"), "--positions is for --refine")
 
 
+def test_notes_are_of_the_rectified_views_and_not_of_the_pictures(boxes: LightField, tmp_path: Path) -> None:
+    """Pictures of cameras that are far out of line contradict their places; a calibration knows why."""
+    wrong = disturb(boxes, Misalignment(shift=8), seed=3)
+    recorded(tmp_path, wrong.light_field, list(wrong.cameras))
+    assert "By their parallax" in lfgpu.read(tmp_path, grid=(3, 3)).notes[-1]
+    found = rectify(lfgpu.read(tmp_path, grid=(3, 3)), calibration=tmp_path / "cameras.toml")
+    assert found.light_field.notes == ()
+    swapped = replace(
+        boxes, views=np.flip(boxes.views.reshape(3, 3, *boxes.views.shape[1:]), 0).reshape(boxes.views.shape)
+    )
+    (note,) = rectify(swapped, tones=True).light_field.notes
+    assert note.startswith("By their parallax")
+    write_rectified(found, out := tmp_path / "out")
+    (out / "points.ply").write_text("of another map")
+    write_rectified(found, out)
+    assert not (out / "points.ply").exists()
+
+
 def test_a_wrong_calibration_is_one_sentence(boxes: LightField, tmp_path: Path) -> None:
     file = recorded(tmp_path, boxes, ideal_cameras(boxes))
     file.write_text(file.read_text().replace("view_008.png", "view_007.png"))
