@@ -101,7 +101,11 @@ def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     wrong = with_view(boxes, 6, change)
     result = lfgpu.estimate_depth(wrong, config="fast")
     (sentence,) = result.remarks
-    assert sentence.startswith("the view at row 1, column 1 fits the others neither there, nor moved, ")
+    assert sentence.startswith(
+        "what is shown at row 1, column 1 fits the other views at no camera's place, moved or not: "
+    )
+    assert "replace pictures that are covered" in sentence
+    assert "read the rest with --allow-missing (allow_missing=True in Python)." in sentence
     assert np.isnan(lfgpu.explain(wrong, result).brightness[6])
     np.testing.assert_array_equal(
         result.confidence, lfgpu.estimate_depth(wrong, config="fast", check_cameras=False).confidence

@@ -63,8 +63,8 @@ def _check_named_alike(folder: Path, paths: list[Path]) -> None:
     odd = [path for path in paths if path not in {name.file for name in most}]
     if 0 < len(odd) < len(most):
         raise LightFieldError(
-            f"{folder} holds {listed(odd)}, not named as the films of cameras such as {most[0].file.name}: move what is "
-            "of no camera out of the folder, and name the films of cameras alike."
+            f"{folder} holds {listed(odd)}, not named as the films of cameras such as {most[0].file.name}: move what "
+            "is of no camera out of the folder, and name the films of cameras alike."
         )
 
 
