@@ -112,6 +112,15 @@ def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     )
 
 
+@pytest.mark.parametrize("line", ["row", "column"])
+def test_cameras_of_a_line_along_the_other_axis_are_named(line: str) -> None:
+    lf = scenes.make("boxes", grid=(9, 9), size=(96, 112), seed=2).subset(line)
+    assert not [said for said in lfgpu.estimate_depth(lf, config="fast").remarks if "rows of cameras" in said]
+    crossed = LightField(lf.views, lf.positions[:, ::-1])
+    (sentence,) = lfgpu.estimate_depth(crossed, config="fast").remarks
+    assert sentence == "rows of cameras are taken for columns: read it with --transpose."
+
+
 def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     turned = with_view(boxes, 6, lambda image: displaced(image, degrees=0.2))
     found = lfgpu.explain(turned, truth(turned))
