@@ -97,6 +97,18 @@ def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: P
     assert len(names(tmp_path / "weights.npy")) == 1  # who names it hears what is wrong with it
 
 
+def test_light_fields_beside_a_folder_of_the_archive_are_found(scene_folders: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    archive.mkdir()
+    for n, file in enumerate(sorted((scene_folders / "scene_0").glob("*.png"))[:2]):
+        shutil.copy(file, archive / f"out_00_{n:02d}_0.0_{n}.0_.png")
+    assert names(tmp_path) == ["archive"]
+    np.save(tmp_path / "a.npy", read(scene_folders / "scene_0").views)
+    assert names(tmp_path) == ["a.npy", "archive"]
+    shutil.copy(archive / "out_00_00_0.0_0.0_.png", tmp_path / "preview.png")
+    assert names(tmp_path) == ["a.npy", "archive"]
+
+
 def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
     header, page = struct.pack("<2sHI", b"II", 42, 8), struct.pack("<HHHIII", 1, 256, 3, 1, 16, 8)
     (tmp_path / "a.tif").write_bytes(header + page)

@@ -12,7 +12,7 @@ from itertools import islice
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several, stanford
 from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
@@ -178,7 +178,8 @@ class _Search:
             kind = recognised(folder)
         except LightFieldError as error:  # such as a view that is a link to nowhere
             fault = error
-        if kind is not None and kind not in _LOOSE:
+        lies_below = kind == "stanford" and stanford.folder_of(folder) != folder  # others may lie beside it
+        if kind is not None and kind not in _LOOSE and not lies_below:
             return [folder]
         if any((folder / name).is_file() for name in _OF_OUTPUTS):
             return []
