@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, done, jobs, local
 from command_line import lfgpu, refused
+from PIL import Image
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
@@ -95,6 +96,27 @@ def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: P
     (tmp_path / "one" / "result.npz").write_bytes(b"")  # which makes it no less of a light field
     assert names(tmp_path) == ["one"]
     assert len(names(tmp_path / "weights.npy")) == 1  # who names it hears what is wrong with it
+
+
+@pytest.mark.parametrize(
+    ("file", "found"),
+    [
+        ("cam{u}/frame_{t}.png", ["in/0000", "in/0001"]),
+        ("view_{u}/time {t}.png", ["in/0000", "in/0001"]),
+        ("cam{u}/{t}.png", ["in"]),  # it is asked what the numbers count
+        ("{side}/{t}.png", ["in"]),
+        ("cam{u}/picture.png", ["in"]),
+        ("cam{u}/{kind}.png", ["in"]),
+        ("time{t}/cam{u}.png", ["time0", "time1"]),
+        ("lf{t}/view_{u}.png", ["lf0", "lf1"]),
+    ],
+)
+def test_folders_that_are_cameras_are_no_light_fields(file: str, found: list[str], tmp_path: Path) -> None:
+    for u, t in np.ndindex(2, 2):
+        path = tmp_path / "in" / file.format(u=u, t=t, side=("left", "right")[u], kind=("a", "b")[t])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.full((40, 48), 50 * u + 9 * t, np.uint8)).save(path)
+    assert names(tmp_path / "in") == found
 
 
 def test_light_fields_beside_a_folder_of_the_archive_are_found(scene_folders: Path, tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.map_formats import REPORT_FILE
-from lfgpu.io.numbered import frames_of
+from lfgpu.io.numbered import frames_of, holds_cameras
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 
@@ -181,6 +181,8 @@ class _Search:
         lies_below = kind == "stanford" and stanford.folder_of(folder) != folder  # others may lie beside it
         if kind is not None and kind not in _LOOSE and not lies_below:
             return [folder]
+        if kind in _LOOSE and holds_cameras(folder):
+            return [folder]
         if any((folder / name).is_file() for name in _OF_OUTPUTS):
             return []
         before, inside = len(self.barren), list(self._inside(folder))
@@ -188,7 +190,7 @@ class _Search:
         if own > 1 and not any(_outweighs(found, own) for found in inside):
             del self.barren[before:]
             return [folder]
-        if not inside and fault is not None:
+        if not inside and (fault is not None or kind is not None):
             return [folder]
         if not inside:
             self.barren.append(folder)
