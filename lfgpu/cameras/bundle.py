@@ -222,7 +222,7 @@ class Bundle:
         own, usual = np.arange(len(self.misfit)), self._usual_warps()
         found = own.copy()
         for n in self._unlike():
-            elsewhere = [self._at(n, place, usual[place])[1] for place in own]
+            elsewhere = [self._at(n, place, usual[place])[1] for place in range(len(own))]
             there = np.where(own == n, min(elsewhere), self.misfit)
             if not consensus.unlike(there, self._lf.offsets)[n]:
                 found[n] = np.argmin(elsewhere)
