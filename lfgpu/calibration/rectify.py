@@ -23,7 +23,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.contradictions import contradictions
 from lfgpu.io.png import write_png
-from lfgpu.io.taken import plausible
+from lfgpu.io.taken import check_unit, plausible
 from lfgpu.io.views import load_pictures
 from lfgpu.pipelines.rectifier import Rectifier
 
@@ -152,6 +152,7 @@ def rectify(
     >>> lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml").light_field.size
     (64, 80)
     """
+    check_unit(unit)
     pictures = source if isinstance(source, LightField) else _loaded(Path(source), calibration is not None)
     if calibration is None and not isinstance(source, LightField):
         beside = calibration_beside(Path(source))

@@ -76,6 +76,8 @@ def rectify(
     from lfgpu.io import check_writable, save, write_pfm
 
     check_writable(out)
+    if out.resolve() == (source if source.is_dir() else source.parent).resolve():
+        raise LightFieldError(f"-o names {out}, which holds the input: rectified views could replace it; name another.")
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
     estimation = computing.estimation(values.configured(None, ()))
