@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data.light_field_checks import array_of_numbers, check_number, check_whole
+from lfgpu.data.light_field_checks import array_of_numbers, check_number, check_whole, without_masked
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.summary import view_at
@@ -341,7 +341,7 @@ def _mask(name: str, mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool
 
 def _numbers(name: str, others: str, values: object) -> NDArray[np.float64]:
     try:
-        return np.asarray(values, np.float64)
+        return np.asarray(without_masked(values), np.float64)
     except (TypeError, ValueError):
         raise LightFieldError(f"{name} must be {others} or an array [y, x], found {type(values).__name__}.") from None
 

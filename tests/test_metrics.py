@@ -113,6 +113,13 @@ def test_truth_in_lists_is_scored() -> None:
     assert evaluate_regions(truth.disparity, truth.disparity, {"fine": [[True, False]] * 2}, border=0)
 
 
+def test_masked_numbers_are_unknown() -> None:
+    truth = GroundTruth(np.ma.masked_greater([[0.0, 1.0, 9.0]], 5), (0, 0))
+    assert evaluate([[0.0, 1.0, 1.0]], truth, border=0).count == 2
+    estimate = np.ma.masked_less([[0, 1, 2]], 1)
+    assert evaluate(estimate, np.array([[0.0, 1.0, 2.0]]), border=0).undefined == pytest.approx(100 / 3)
+
+
 # --- sparsification ---
 
 
