@@ -153,14 +153,14 @@ def _inverted(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
+    if getattr(image, "is_animated", False) and image.format in ("WEBP", "PNG"):
+        count = getattr(image, "n_frames", 0)
+        raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
     if image.mode in ("L", "RGB") and "transparency" in image.info:  # one value that is transparent
         return np.asarray(image.convert(f"{image.mode}A"))
     if image.mode in ("1", "P", "PA"):
         grey = image.mode == "1"
         return np.asarray(image.convert("L" if grey else "RGBA" if image.has_transparency_data else "RGB"))
-    if getattr(image, "is_animated", False) and image.format == "WEBP":
-        count = getattr(image, "n_frames", 0)
-        raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
     stored = image.tile[0][3] if image.format == "PPM" else ""  # type: ignore[attr-defined]  # raw mode, largest value
     if image.mode == "RGB" and isinstance(stored, tuple) and int(stored[1]) > 255:
         raise LightFieldError(f"{path} is a PPM of 16-bit colour, which cannot be read; save it as PNG or TIFF.")
