@@ -350,7 +350,9 @@ def _inside(shape: tuple[int, ...], border: int) -> NDArray[np.bool_]:
     height, width = shape
     check_whole("border", border, 0)
     if 2 * border >= min(height, width):
-        raise LightFieldError(f"border must leave something of the {height} x {width} map, found {border}.")
+        raise LightFieldError(
+            f"border must be at least 0 and leave something of the {height} x {width} map, found {border}."
+        )
     inside = np.zeros(shape, np.bool_)
     inside[border : height - border, border : width - border] = True
     return inside
