@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.data.light_field_checks import array_of_numbers, check_number, check_whole, without_masked
 from lfgpu.data.lightfield import GroundTruth
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.summary import view_at
@@ -281,10 +282,9 @@ def _with_confidence(
     threshold: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return |error| and confidence of the scored pixels, [p] each."""
-    if not threshold >= 0:
-        raise LightFieldError(f"threshold must be at least 0, found {threshold:g}.")
+    check_number("threshold", threshold, 0)
     errors, scored = _errors(disparity, truth, mask, border)
-    surer = np.asarray(confidence, np.float64)
+    surer = _numbers("confidence", "that of a result", confidence)
     if surer.shape != scored.shape:
         raise LightFieldError(f"confidence must be {scored.shape} as the disparity, found {surer.shape}.")
     return errors, surer[scored]
@@ -310,20 +310,10 @@ def _errors(
         disparity = disparity.disparity
     if truth is None:
         raise LightFieldError("there is no ground truth (None): give lf.truth of a light field that has one, or a map.")
-    estimated, true = (
-        _numbers("disparity", "a DepthResult, a DisparityMap", disparity),
-        _numbers("truth", "the GroundTruth of a light field", truth),
-    )
-    if estimated.ndim != 2 or estimated.shape != true.shape:
-        raise LightFieldError(
-            f"disparity and truth must be [y, x] of the same shape, found {estimated.shape} and {true.shape}."
-        )
+    estimated, true = _of_one_shape(disparity, truth)
     scored = np.isfinite(true) & _inside(true.shape, border)
     if mask is not None:
-        allowed = np.asarray(mask)
-        if allowed.shape != true.shape or allowed.dtype != np.bool_:
-            raise LightFieldError(f"mask must be bool {true.shape}, found {allowed.dtype} {allowed.shape}.")
-        scored &= allowed
+        scored &= _mask("mask", mask, true.shape)
     if not scored.any():
         raise LightFieldError(
             f"nothing to score: no pixel of the {true.shape[0]} x {true.shape[1]} map has a known truth "
@@ -332,16 +322,34 @@ def _errors(
     return np.abs(estimated[scored] - true[scored]), scored
 
 
+def _of_one_shape(disparity: object, truth: object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    estimated = _numbers("disparity", "a DepthResult, a DisparityMap", disparity)
+    true = _numbers("truth", "the GroundTruth of a light field", truth)
+    if estimated.ndim != 2 or estimated.shape != true.shape:
+        raise LightFieldError(
+            f"disparity and truth must be [y, x] of the same shape, found {estimated.shape} and {true.shape}."
+        )
+    return estimated, true
+
+
+def _mask(name: str, mask: ArrayLike, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    allowed = array_of_numbers(name, mask)
+    if allowed.shape != shape or allowed.dtype != np.bool_:
+        raise LightFieldError(f"{name} must be bool {shape}, found {allowed.dtype} {allowed.shape}.")
+    return allowed
+
+
 def _numbers(name: str, others: str, values: object) -> NDArray[np.float64]:
     try:
-        return np.asarray(values, np.float64)
+        return np.asarray(without_masked(values), np.float64)
     except (TypeError, ValueError):
         raise LightFieldError(f"{name} must be {others} or an array [y, x], found {type(values).__name__}.") from None
 
 
 def _inside(shape: tuple[int, ...], border: int) -> NDArray[np.bool_]:
     height, width = shape
-    if border < 0 or 2 * border >= min(height, width):
+    check_whole("border", border, 0)
+    if 2 * border >= min(height, width):
         raise LightFieldError(
             f"border must be at least 0 and leave something of the {height} x {width} map, found {border}."
         )
@@ -403,27 +411,21 @@ REGION_METRICS = (
 
 
 def evaluate_regions(
-    disparity: ArrayLike, truth: ArrayLike, masks: Mapping[str, NDArray[np.bool_]], *, border: int = BORDER
+    disparity: ArrayLike, truth: ArrayLike, masks: Mapping[str, ArrayLike], *, border: int = BORDER
 ) -> dict[str, float]:
     """Score a disparity map [y, x], NaN where it is undefined, in the parts of a scene that masks name.
 
     Masks have the benchmark's names: "discontinuities", "planes", "smooth_surfaces", "fine_surrounding", "fine"; any
     may be missing. Returns the values of `REGION_METRICS` whose mask is there and not empty.
     """
-    error = np.asarray(disparity, np.float64) - np.asarray(truth, np.float64)
-    inside = np.zeros(error.shape, np.bool_)
-    inside[border : error.shape[0] - border, border : error.shape[1] - border] = True
-    inside &= np.isfinite(np.asarray(truth, np.float64))
+    estimated, true = _of_one_shape(disparity, truth)
+    error, inside = estimated - true, np.isfinite(true) & _inside(true.shape, border)
     scores = {}
     for metric in REGION_METRICS:
         mask = masks.get(metric.mask)
         if mask is None:
             continue
-        if mask.shape != error.shape:
-            raise LightFieldError(
-                f"the mask {metric.mask} is {mask.shape}, the map {error.shape}; give those of one size."
-            )
-        values = metric.values(error)[mask & inside]
+        values = metric.values(error)[_mask(f"the mask {metric.mask}", mask, error.shape) & inside]
         defined = values[np.isfinite(values)]
         if len(values):
             scores[metric.name] = float(defined.mean()) if len(defined) else float("nan")

@@ -13,9 +13,11 @@ import numpy as np
 import pytest
 from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, done, jobs, local
 from command_line import lfgpu, refused
+from PIL import Image
 
 from lfgpu import DepthPipeline, LightFieldError, estimate_depth
 from lfgpu._backends import load
+from lfgpu.batch import items
 from lfgpu.batch.cluster import Cluster
 from lfgpu.batch.items import MANIFEST_FILE, find_items, fingerprint
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, read_manifest
@@ -94,6 +96,39 @@ def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: P
     (tmp_path / "one" / "result.npz").write_bytes(b"")  # which makes it no less of a light field
     assert names(tmp_path) == ["one"]
     assert len(names(tmp_path / "weights.npy")) == 1  # who names it hears what is wrong with it
+
+
+@pytest.mark.parametrize(
+    ("file", "found"),
+    [
+        ("cam{u}/frame_{t}.png", ["in/0000", "in/0001"]),
+        ("view_{u}/time {t}.png", ["in/0000", "in/0001"]),
+        ("cam{u}/{t}.png", ["in"]),  # it is asked what the numbers count
+        ("{side}/{t}.png", ["in"]),
+        ("cam{u}/picture.png", ["in"]),
+        ("cam{u}/{kind}.png", ["in"]),
+        ("time{t}/cam{u}.png", ["time0", "time1"]),
+        ("lf{t}/view_{u}.png", ["lf0", "lf1"]),
+    ],
+)
+def test_folders_that_are_cameras_are_no_light_fields(file: str, found: list[str], tmp_path: Path) -> None:
+    for u, t in np.ndindex(2, 2):
+        path = tmp_path / "in" / file.format(u=u, t=t, side=("left", "right")[u], kind=("a", "b")[t])
+        path.parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(np.full((40, 48), 50 * u + 9 * t, np.uint8)).save(path)
+    assert names(tmp_path / "in") == found
+
+
+def test_light_fields_beside_a_folder_of_the_archive_are_found(scene_folders: Path, tmp_path: Path) -> None:
+    archive = tmp_path / "archive"
+    archive.mkdir()
+    for n, file in enumerate(sorted((scene_folders / "scene_0").glob("*.png"))[:2]):
+        shutil.copy(file, archive / f"out_00_{n:02d}_0.0_{n}.0_.png")
+    assert names(tmp_path) == ["archive"]
+    np.save(tmp_path / "a.npy", read(scene_folders / "scene_0").views)
+    assert names(tmp_path) == ["a.npy", "archive"]
+    shutil.copy(archive / "out_00_00_0.0_0.0_.png", tmp_path / "preview.png")
+    assert names(tmp_path) == ["a.npy", "archive"]
 
 
 def test_a_file_whose_pages_go_in_a_circle_is_an_item(tmp_path: Path) -> None:
@@ -358,3 +393,21 @@ def test_remnants_go_also_where_nothing_is_left_to_do(scene_folders: Path, tmp_p
     (tmp_path / ".lfgpu-0123").mkdir()
     assert Batch(items, tmp_path, FAST).run(local()).kept == 1
     assert_nothing_left_over(tmp_path)
+
+
+def test_a_disk_that_a_description_names_is_not_walked_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(items, "_MOST", 3)
+    disk, source = tmp_path / "disk", tmp_path / "one.toml"
+    disk.mkdir()
+    source.write_text('[source]\npath = "disk"\nformat = "camera-row"\n')
+    for n in range(4):
+        before = fingerprint(str(source))
+        assert fingerprint(str(source)) == before
+        (disk / f"{n}.png").write_bytes(b"")
+    assert fingerprint(str(source)) != fingerprint(str(source))  # what is not looked at may have changed
+    looked_at = []
+    monkeypatch.setattr(items.os, "walk", lambda *_, **__: (looked_at.append(n) or ("", [], ["a"]) for n in range(99)))
+    fingerprint(str(source))
+    assert len(looked_at) == 4

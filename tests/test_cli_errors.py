@@ -59,6 +59,8 @@ def test_damaged_inputs(damage: Callable[[Path], None], words: str, views: Path,
         (["--reference-view", "9,0"], "no view at row 9, column 0"),
         (["--reference-view", "middle"], "ROW,COL such as 4,4"),
         (["--reference-view", "nan,1"], "finite"),
+        (["--every=0"], "every must be a whole number of at least 1, not 0"),
+        (["--frame=0"], "for which frame means nothing"),
     ],
 )
 def test_wrong_options(options: list[str], words: str, recorded: Path, out: Path) -> None:

@@ -135,6 +135,22 @@ def test_subsets_keep_the_reference_and_the_masks(light_field: LightField, views
         diagonal.subset("row")
 
 
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"disparity": [1, 2]}, r"disparity must be \[y, x\], found shape \(2,\)"),
+        ({"disparity": [["near"]]}, "disparity must be an array of numbers"),
+        ({"position": 3}, r"position must be a pair of numbers \(u, v\), not 3"),
+        ({"position": (0, float("nan"))}, "position must be a pair of numbers"),
+        ({"mask": [[1, 1]]}, r"mask must be bool \(1, 2\), found int64 \(1, 2\)"),
+        ({"mask": [[True]]}, r"mask must be bool \(1, 2\), found bool \(1, 1\)"),
+    ],
+)
+def test_a_truth_of_another_form_is_refused(fields: dict[str, object], words: str) -> None:
+    with pytest.raises(LightFieldError, match=words):
+        GroundTruth(**{"disparity": [[1, 2]], "position": (0, 0), **fields})  # type: ignore[arg-type]
+
+
 def test_crop_takes_geometry_masks_and_truth_along(views: NDArray[np.uint8]) -> None:
     disparity = np.arange(HEIGHT * WIDTH, dtype=np.float32).reshape(HEIGHT, WIDTH)
     truth = GroundTruth(disparity, (2.0, 1.0), mask=disparity % 2 == 0)

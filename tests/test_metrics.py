@@ -8,6 +8,7 @@ import pytest
 from command_line import lfgpu, refused, said
 from PIL import Image
 
+from lfgpu.data.lightfield import GroundTruth
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci, write_pfm
 from lfgpu.io.hci_submission import SCENES, read_region_masks, write_submission
@@ -76,6 +77,7 @@ def test_an_estimate_without_any_defined_pixel() -> None:
         (np.zeros(4), np.zeros(4), {"border": 0}, ["[y, x]", "(4,)"]),
         (np.zeros((30, 40)), np.zeros((30, 40)), {}, ["border", "30 x 40", "15"]),
         (np.zeros((30, 40)), np.zeros((30, 40)), {"border": -1}, ["border", "-1"]),
+        (np.zeros((30, 40)), np.zeros((30, 40)), {"border": 2.5}, ["border must be a whole number", "2.5"]),
         (np.zeros((4, 4)), np.full((4, 4), NAN), {"border": 0}, ["nothing to score"]),
         (np.zeros((4, 4)), np.zeros((4, 4)), {"border": 0, "mask": np.zeros((4, 4), bool)}, ["nothing to score"]),
         (np.zeros((4, 4)), np.zeros((4, 4)), {"border": 0, "mask": np.ones((4, 3), bool)}, ["mask", "(4, 3)"]),
@@ -86,6 +88,36 @@ def test_bad_input_is_said_so(disparity: object, truth: object, options: dict[st
     with pytest.raises(LightFieldError) as error:
         evaluate(disparity, truth, **options)  # type: ignore[arg-type]
     assert all(word in str(error.value) for word in words)
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "words"),
+    [
+        (sparsification, {"threshold": "much"}, "threshold must be a number of at least 0, not 'much'"),
+        (sparsification, {"confidence": "high"}, "confidence must be that of a result or an array"),
+        (evaluate_regions, {"masks": {"fine": [[1] * 4] * 4}}, r"the mask fine must be bool \(4, 4\), found int64"),
+        (evaluate_regions, {"masks": {}, "truth": np.zeros((4, 5))}, "the same shape"),
+        (evaluate_regions, {"masks": {}, "border": 0.5}, "border must be a whole number"),
+    ],
+)
+def test_other_measures_say_so_too(function, arguments: dict[str, object], words: str) -> None:
+    ones = np.ones((4, 4))
+    known = {"confidence": ones} if function is sparsification else {}
+    with pytest.raises(LightFieldError, match=words):
+        function(ones, **{"truth": ones, "border": 0, **known, **arguments})
+
+
+def test_truth_in_lists_is_scored() -> None:
+    truth = GroundTruth([[0, 1], [2, 3]], (0, 0), [[True, True], [True, False]])  # type: ignore[arg-type]
+    assert evaluate([[0, 1], [2, 9]], truth, border=0).mse_100 == 0
+    assert evaluate_regions(truth.disparity, truth.disparity, {"fine": [[True, False]] * 2}, border=0)
+
+
+def test_masked_numbers_are_unknown() -> None:
+    truth = GroundTruth(np.ma.masked_greater([[0.0, 1.0, 9.0]], 5), (0, 0))
+    assert evaluate([[0.0, 1.0, 1.0]], truth, border=0).count == 2
+    estimate = np.ma.masked_less([[0, 1, 2]], 1)
+    assert evaluate(estimate, np.array([[0.0, 1.0, 2.0]]), border=0).undefined == pytest.approx(100 / 3)
 
 
 # --- sparsification ---

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import said
+from PIL import Image
 from typer.testing import CliRunner
 
 import lfgpu
@@ -71,6 +72,26 @@ def test_one_video_for_each_camera_of_which_the_shortest_ends(videos: Path) -> N
     write_video(videos / "camera_9.mkv", [lf.views[1][:20] for lf in film()])
     with pytest.raises(lfgpu.LightFieldError, match=r"camera_9.mkv has frames of 36 x 20 pixels, but .*camera_7"):
         open_source(str(videos))
+
+
+@pytest.mark.parametrize("name", ["cam{}/{:03d}.png", "{}/{:03d}.png"])
+def test_folders_of_cameras_are_no_frames(tmp_path: Path, name: str) -> None:
+    for camera, time in np.ndindex(2, 3):
+        file = tmp_path / name.format(camera if "cam" in name else ("left", "right")[camera], time)
+        file.parent.mkdir(exist_ok=True)
+        Image.fromarray(film()[time].views[camera]).save(file)
+    with pytest.raises(lfgpu.LightFieldError, match="has several folders with numbered images"):
+        open_source(str(tmp_path))
+
+
+@pytest.mark.parametrize("names", [("cam_0", "cam_1"), ("left", "right"), ("0", "1")])
+def test_a_film_that_is_not_named_as_those_of_cameras_is_asked_about(tmp_path: Path, names: tuple[str, ...]) -> None:
+    for k, name in enumerate(names):
+        write_video(tmp_path / f"{name}.mkv", [lf.views[k] for lf in film()])
+    assert len(open_source(str(tmp_path)).first.views) == 2
+    write_video(tmp_path / "preview.mkv", [lf.views[0] for lf in film()])
+    with pytest.raises(lfgpu.LightFieldError, match=rf"holds preview\.mkv, .* such as {names[0]}\.mkv: move what is"):
+        open_source(str(tmp_path))
 
 
 def test_cameras_from_a_light_field(videos: Path) -> None:

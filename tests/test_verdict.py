@@ -149,3 +149,11 @@ def test_maps_of_all_views_are_less_confident_where_cameras_are_askew() -> None:
     np.testing.assert_array_equal(after.disparities, before.disparities)
     means = (after.confidences.mean((1, 2)), before.confidences.mean((1, 2)))
     assert (means[0] < means[1] - 0.1).all()
+
+
+def test_what_is_no_result_cannot_be_judged() -> None:
+    lf = scenes.make("boxes", grid=(1, 3), size=(40, 48))
+    with pytest.raises(lfgpu.LightFieldError, match="result must be what an estimate returned, found NoneType"):
+        lfgpu.judged(lf, None)  # type: ignore[arg-type]
+    with pytest.raises(lfgpu.LightFieldError, match="lf must be a LightField, found NoneType"):
+        lfgpu.judged(None, None)  # type: ignore[arg-type]

@@ -4,19 +4,21 @@ import errno
 import glob
 import hashlib
 import os
+import secrets
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several, stanford
 from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.map_formats import REPORT_FILE
-from lfgpu.io.numbered import frames_of
+from lfgpu.io.numbered import frames_of, holds_cameras
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
 
@@ -30,6 +32,7 @@ OWN = (MANIFEST_FILE, LOCK_FILE, REPORT_FILE)
 """The files that lie beside the folders of the items."""
 
 
+_MOST = 200_000  # files of one light field or sequence
 _LOOSE = ("camera-row", "named-views")  # formats that match any folder of images
 _OF_OUTPUTS = (MANIFEST_FILE, RESULT_FILE)  # files that mark a folder as an output
 
@@ -103,12 +106,16 @@ def _times(path: Path, pattern: str | None) -> int:
 def fingerprint(source: str, *, leave_out: Path | None = None) -> str:
     """Hash names, sizes and times of the files of a light field, also of those that a description names.
 
-    Those in the output folder `leave_out` are left out.
+    Those in the output folder `leave_out` are left out. Where there are more than can be looked at, such as on a whole
+    disk that a description or a link names, the hash is a new one each time.
     """
     excluded = None if leave_out is None else real(leave_out)
     digest = hashlib.sha256()
     for place in (Path(source), *named_by(Path(source))):
-        for file in sorted(_files(place, excluded)) if _is_folder(place) else [place]:
+        files = list(islice(_files(place, excluded), _MOST + 1)) if _is_folder(place) else [place]
+        if len(files) > _MOST:
+            return secrets.token_hex(8)
+        for file in sorted(files):
             try:
                 found = file.stat()
                 text = f"{file.relative_to(place)}\0{found.st_size}\0{found.st_mtime_ns}\0"
@@ -171,7 +178,10 @@ class _Search:
             kind = recognised(folder)
         except LightFieldError as error:  # such as a view that is a link to nowhere
             fault = error
-        if kind is not None and kind not in _LOOSE:
+        lies_below = kind == "stanford" and stanford.folder_of(folder) != folder  # others may lie beside it
+        if kind is not None and kind not in _LOOSE and not lies_below:
+            return [folder]
+        if kind in _LOOSE and holds_cameras(folder):
             return [folder]
         if any((folder / name).is_file() for name in _OF_OUTPUTS):
             return []
@@ -180,7 +190,7 @@ class _Search:
         if own > 1 and not any(_outweighs(found, own) for found in inside):
             del self.barren[before:]
             return [folder]
-        if not inside and fault is not None:
+        if not inside and (fault is not None or kind is not None):
             return [folder]
         if not inside:
             self.barren.append(folder)

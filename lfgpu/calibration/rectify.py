@@ -21,10 +21,14 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
+from lfgpu.io.contradictions import contradictions
 from lfgpu.io.png import write_png
-from lfgpu.io.taken import plausible
+from lfgpu.io.taken import check_unit, plausible
 from lfgpu.io.views import load_pictures
 from lfgpu.pipelines.rectifier import Rectifier
+
+POINTS_FILE, DEPTH_FILE = "points.ply", "original_depth.pfm"
+"""Files that `lfgpu rectify --points` adds."""
 
 _BY_ORDER = ("Kalibr", "LLFF")  # formats that have no names of pictures
 
@@ -148,6 +152,7 @@ def rectify(
     >>> lfgpu.calibration.rectify("rig", calibration="rig/cameras.toml").light_field.size
     (64, 80)
     """
+    check_unit(unit)
     pictures = source if isinstance(source, LightField) else _loaded(Path(source), calibration is not None)
     if calibration is None and not isinstance(source, LightField):
         beside = calibration_beside(Path(source))
@@ -180,12 +185,12 @@ def rectify(
             f"{source} has no calibration beside it; name one, or line the views up by what they show."
         )
     if model is None and not tones:
-        return Rectified(lf, rig, None, disparity_range)
+        return Rectified(_looked_at_again(lf, pictures), rig, None, disparity_range)
     options: dict[str, Any] = {"disparity_range": disparity_range, "backend": backend, "device": device}
     found = refine(lf, model=model, positions=positions, **options) if model else equalise(lf, **options)
     if found.kept and rig is not None and len(lf.views) == len(pictures.views):
         found = replace(found, light_field=_composed(pictures, rig, found))
-    return Rectified(found.light_field, rig, found, disparity_range)
+    return Rectified(_looked_at_again(found.light_field, pictures), rig, found, disparity_range)
 
 
 def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
@@ -194,7 +199,7 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
     The numbers to go back to the original pictures are in rectified.npz: `homographies` [n, 3, 3] from pixels that are
     written to rectified ones, and with a calibration `rotation` [3, 3] (world to the common frame), `positions`,
     `ahead`, `corrected_at`, the common camera, and of the original cameras `matrices`, `distortions`, `rotations` and
-    `translations`.
+    `translations`. points.ply and original_depth.pfm of an earlier run, which are of another map, are removed.
 
     Examples
     --------
@@ -205,7 +210,7 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
     """
     check_writable(folder)
     lf = result.light_field
-    with atomic_folder(folder) as place:
+    with atomic_folder(folder, ours=(POINTS_FILE, DEPTH_FILE), mark=NUMBERS) as place:
         files = []
         for n in range(len(lf.views)):
             file = place / f"view_{n:03d}.png"
@@ -252,6 +257,12 @@ def _with_truth(lf: LightField, pictures: LightField, rig: Rig) -> LightField:
     u, v = lf.positions[lf.reference_index]
     disparity = rig.geometry.disparity(geometry.depth(truth.disparity)).astype(np.float32)
     return replace(lf, truth=replace(truth, disparity=disparity, position=(float(u), float(v))))
+
+
+def _looked_at_again(lf: LightField, pictures: LightField) -> LightField:
+    """Replace notes on how the pictures contradict the places of their cameras by notes on how the views still do."""
+    before = contradictions(pictures)
+    return replace(lf, notes=(*(note for note in lf.notes if note not in before), *contradictions(lf)))
 
 
 def _composed(pictures: LightField, rig: Rig, found: Refinement) -> LightField:

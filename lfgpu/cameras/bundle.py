@@ -219,10 +219,11 @@ class Bundle:
 
         A view that fits badly where it stands is tried at the places of all others.
         """
-        found, usual = np.arange(len(self.misfit)), self._usual_warps()
+        own, usual = np.arange(len(self.misfit)), self._usual_warps()
+        found = own.copy()
         for n in self._unlike():
-            elsewhere = [self._at(n, place, usual[place])[1] for place in range(len(found))]
-            there = np.where(found == n, min(elsewhere), self.misfit)
+            elsewhere = [self._at(n, place, usual[place])[1] for place in range(len(own))]
+            there = np.where(own == n, min(elsewhere), self.misfit)
             if not consensus.unlike(there, self._lf.offsets)[n]:
                 found[n] = np.argmin(elsewhere)
         return found

@@ -83,12 +83,10 @@ def strangers(lf: LightField, cameras: Cameras) -> tuple[str, ...]:
         each = [f"the view at {_where(lf, n)} shows what belongs at {_where(lf, place[n])}" for n in elsewhere]
         said.append(f"{_named(each)}: correct the names of the files.")
     if nowhere:
-        which = _named([_where(lf, n) for n in nowhere])
-        several = len(nowhere) > 1
         said.append(
-            f"the {'views' if several else 'view'} at {which} {'fit' if several else 'fits'} the others neither there, "
-            "nor moved, nor at the place of another camera: covered, turned, blurred, noisy, of another time or scene? "
-            f"Without {'them' if several else 'it'}, read the rest with --allow-missing."
+            f"what is shown at {_named([_where(lf, n) for n in nowhere])} fits the other views at no camera's place, "
+            "moved or not: replace pictures that are covered, turned, blurred, noisy, or of another time or scene; or "
+            "take their files away and read the rest with --allow-missing (allow_missing=True in Python)."
         )
     return tuple(said)
 

@@ -25,13 +25,14 @@ _WAYS: tuple[tuple[Signs | None, tuple[tuple[int, int], tuple[int, int]]], ...] 
     ("transposed", ((0, 1), (1, 0))),
     ("turned", ((0, 1), (-1, 0))),  # a quarter turn of the array
 )
+_WAYS_OF_LINES = tuple(way for way in _WAYS if way[0] in (None, "transposed"))  # signs only turn disparities round
 _POINTS = 400
 _VIEWS = 12
 _PARALLAX = 6.0  # pixels by which the views that are compared move at most, about
 _AGREE = 0.15  # of the contrast: where patches differ by less, the way that was told is right
 _BETTER = 0.92  # of the median cost: how much better another way must be,
 _SURE = 5.0  # and by how many standard errors of the mean over points
-_SPREAD = 0.5  # view steps: cameras in one line say nothing about the other axis
+_SPREAD = 0.5  # view steps: cameras that stand closer to a line along an axis are in one line
 
 _ONE_SIDED = 3  # views, the reference at their end, that do not tell the order of depth
 _FARTHEST = 8  # views in which the order of depth is compared
@@ -59,8 +60,9 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     offsets = lf.offsets
     distance = np.hypot(*offsets.T)
     beside = np.flatnonzero(distance > 0)
-    if min(np.ptp(offsets, axis=0)) < _SPREAD or len(points.x) < _POINTS // 8:
+    if len(points.x) < _POINTS // 8:
         return None
+    in_line = min(np.ptp(offsets, axis=0)) < _SPREAD
     wanted = _PARALLAX / max(largest, 1e-6)
     order = beside[np.argsort(np.abs(distance[beside] - wanted), kind="stable")]
     chosen = _spread_over_angles(order, offsets)
@@ -70,7 +72,7 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     pictures = [grey(lf, int(n)) for n in chosen]
     labels = np.linspace(-1.2 * largest, 1.2 * largest, LABELS)
     costs: dict[Signs | None, Float64Array] = {}
-    for way, matrix in _WAYS:
+    for way, matrix in _WAYS if not in_line else _WAYS_OF_LINES:
         cost, _ = sweep(patch, pictures, offsets[chosen] @ np.array(matrix, np.float64).T, x, y, labels)
         if way is None and np.median(cost) < _AGREE:
             return None

@@ -123,6 +123,10 @@ Cold = Annotated[bool, typer.Option("--cold", help="Estimate each frame independ
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only.")]
 
 
+def _is_given(value: object) -> bool:
+    return value is not None and value is not False and value != ""  # 0 is: the first time
+
+
 @dataclass(frozen=True)
 class Reading:
     """Options of `lfgpu.read`."""
@@ -179,13 +183,13 @@ class Reading:
         found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
         found |= {"format": found.pop("format_name"), "pattern": found.pop("names")}
         found["grid"] = values.parse_size("--grid", self.grid, "ROWSxCOLUMNS such as 9x9")
-        return {name: value for name, value in found.items() if value not in (None, "", False)}
+        return {name: value for name, value in found.items() if _is_given(value)}
 
     def words(self) -> list[str]:
         """Return the options that were given as words of a command line, as `lfgpu view` takes them."""
         names = {"format_name": "format", "names": "pattern"}
         found = [(f"--{names.get(one.name, one.name)}", getattr(self, one.name)) for one in fields(Reading)]
-        given = [(name, value) for name, value in found if value not in (None, "", False)]
+        given = [(name, value) for name, value in found if _is_given(value)]
         return [word for name, value in given for word in ([name] if value is True else [name, str(value)])]
 
 

@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from lfgpu.calibration import Rectified
 
-POINTS_FILE, DEPTH_FILE = "points.ply", "original_depth.pfm"
-
 
 def rectify(
     source: Annotated[
@@ -61,7 +59,7 @@ def rectify(
         bool,
         typer.Option(
             "--points",
-            help=f"Also estimate a map; write {POINTS_FILE} and {DEPTH_FILE} (depth in the reference as it was taken).",
+            help="Also estimate a map; write points.ply and original_depth.pfm (depth in the reference as taken).",
         ),
     ] = False,
     computing: Computing,
@@ -73,10 +71,13 @@ def rectify(
     numbers that lead back to the original pictures.
     """
     from lfgpu import calibration as cameras
+    from lfgpu.calibration.rectify import DEPTH_FILE, POINTS_FILE
     from lfgpu.cli.console import output
     from lfgpu.io import check_writable, save, write_pfm
 
     check_writable(out)
+    if out.resolve() == (source if source.is_dir() else source.parent).resolve():
+        raise LightFieldError(f"-o names {out}, which holds the input: rectified views could replace it; name another.")
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
     estimation = computing.estimation(values.configured(None, ()))
@@ -97,11 +98,7 @@ def rectify(
         if result.light_field.geometry is None:
             raise LightFieldError("--points needs a calibration: without one there is no metric depth.")
         cloud = replace(estimation, disparity_range=result.disparity_range).run(result.light_field, quiet=quiet)
-    wrote_before = (out / "rectified.npz").is_file()
     cameras.write_rectified(result, out)
-    if wrote_before:  # what an earlier run said of another map
-        for name in (POINTS_FILE, DEPTH_FILE):
-            (out / name).unlink(missing_ok=True)
     if cloud is not None:
         save(cloud, out / POINTS_FILE, image=result.light_field.image(result.light_field.reference_index))
         if result.rig is not None:
@@ -111,6 +108,7 @@ def rectify(
 
 
 def _show(console: Console, result: Rectified, out: Path, *, points: bool) -> None:
+    from lfgpu.calibration.rectify import DEPTH_FILE, POINTS_FILE
     from lfgpu.cli import console as shown
     from lfgpu.cli import summary
     from lfgpu.reports import facts

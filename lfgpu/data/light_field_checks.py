@@ -24,9 +24,14 @@ def array_of_numbers(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
     if hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__"):
         values = interop.on_host(name, values)
     try:
-        return np.asarray(values, dtype)
+        return np.asarray(values if dtype is None else without_masked(values), dtype)
     except (TypeError, ValueError) as error:
         raise LightFieldError(f"{name} must be an array of numbers: {error}.") from error
+
+
+def without_masked(values: Any) -> Any:
+    """Return values with NaN for the numbers that a NumPy masked array masks: they are unknown."""
+    return np.ma.filled(values.astype(np.float64), np.nan) if isinstance(values, np.ma.MaskedArray) else values
 
 
 def check_number(name: str, value: Any, least: float = -math.inf, most: float = math.inf) -> None:

@@ -48,6 +48,11 @@ class GroundTruth:
     mask
         bool [y, x], True at scored pixels. Default None: all pixels are scored.
 
+    Raises
+    ------
+    LightFieldError
+        If a value has another shape or type than above.
+
     Examples
     --------
     >>> lfgpu.GroundTruth(np.zeros((64, 80), np.float32), position=(2.0, 2.0)).disparity.mean()
@@ -57,6 +62,19 @@ class GroundTruth:
     disparity: NDArray[np.float32]
     position: tuple[float, float]
     mask: NDArray[np.bool_] | None = None
+
+    def __post_init__(self) -> None:
+        disparity = array_of_numbers("disparity", self.disparity, np.float32)
+        if disparity.ndim != 2 or disparity.size == 0:
+            raise LightFieldError(f"disparity must be [y, x], found shape {disparity.shape}.")
+        position = array_of_numbers("position", self.position, np.float64)
+        if position.shape != (2,) or not (np.abs(position) <= _FARTHEST).all():
+            raise LightFieldError(f"position must be a pair of numbers (u, v), not {self.position!r:.60}.")
+        mask = None if self.mask is None else array_of_numbers("mask", self.mask)
+        if mask is not None and (mask.shape != disparity.shape or mask.dtype != np.bool_):
+            raise LightFieldError(f"mask must be bool {disparity.shape}, found {mask.dtype} {mask.shape}.")
+        for name, value in (("disparity", disparity), ("position", tuple(position.tolist())), ("mask", mask)):
+            object.__setattr__(self, name, value)
 
     @property
     def scored(self) -> NDArray[np.float32]:
@@ -177,10 +195,10 @@ class LightField:
         valid = None if masked is None else array_of_numbers("valid", masked)
         if valid is not None and (valid.shape != views.shape[:3] or valid.dtype != np.bool_):
             raise LightFieldError(f"valid must be bool {views.shape[:3]}; found {valid.dtype} {valid.shape}.")
-        if self.truth is not None:
-            for values in (self.truth.disparity, self.truth.mask):
-                if values is not None and values.shape != views.shape[1:3]:
-                    raise LightFieldError(f"truth must be {views.shape[1:3]}, like the views; found {values.shape}.")
+        if self.truth is not None and self.truth.disparity.shape != views.shape[1:3]:
+            raise LightFieldError(
+                f"truth must be {views.shape[1:3]}, like the views; found {self.truth.disparity.shape}."
+            )
         if self.grid_shape is not None:
             check_grid(positions, self.grid_shape)
         if self.white is not None:

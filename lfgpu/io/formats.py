@@ -39,7 +39,7 @@ from lfgpu.io.contradictions import contradictions
 from lfgpu.io.damage import check_fetched
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
-from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, listed
+from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, image_files, listed
 from lfgpu.io.grid import Needed, in_part
 from lfgpu.io.taken import check_unit, in_unit, told
 
@@ -426,11 +426,24 @@ _ARCHIVES = {b"PK\x03\x04": "zip", b"PK\x05\x06": "zip", b"7z\xbc\xaf": "7z", b"
 _NAMED_SO = frozenset({".h5", ".hdf5", ".mat", ".npy", ".npz", ".mp4", ".mov", ".mkv", ".webm", ".avi"})
 
 
+def _contents(path: Path, found: list[Path]) -> str:
+    if not found:
+        return "an empty folder"
+    said = f"a folder with {listed(found)}"
+    if any(entry.is_dir() or entry.suffix.lower() in _NAMED_SO for entry in found):
+        return said
+    if not image_files(path):
+        return f"{said}, none of which is a picture that can be read: convert them, to PNG for example"
+    return (
+        f"{said}, whose names do not say where the cameras stood: number them, such as view_00_03.png (row, column) or "
+        "view_0012.png (a row of cameras)"
+    )
+
+
 def _what(path: Path) -> str:
     """Describe a path that no format recognises, and say what to do about it."""
     if path.is_dir():
-        contents = entries(path)
-        return f"a folder with {listed(contents)}" if contents else "an empty folder"
+        return _contents(path, entries(path))
     start = head(path, 4)
     if not start:
         return "an empty file (give the folder that holds the views)"

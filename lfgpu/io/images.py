@@ -121,11 +121,8 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
             if (pixels := decode_fast(path, image)) is None:
                 if _is_misread_by_pillow(image):
                     return _decode_tiff(path)
-                if isinstance(image, TiffImageFile) and (others := further_pictures(path)):
-                    raise LightFieldError(
-                        f"{path} has {1 + others} pages of one size, but a view is one page: save the page that is the "
-                        "view alone, or as one page of RGB if the pages are its colours."
-                    )
+                if isinstance(image, TiffImageFile):
+                    _check_one_page(path)
                 pixels = _pixels(path, image)
                 if inverted:
                     pixels = _inverted(pixels)
@@ -156,14 +153,14 @@ def _inverted(image: NDArray[Any]) -> NDArray[Any]:
 
 
 def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
+    if getattr(image, "is_animated", False) and image.format in ("WEBP", "PNG"):
+        count = getattr(image, "n_frames", 0)
+        raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
     if image.mode in ("L", "RGB") and "transparency" in image.info:  # one value that is transparent
         return np.asarray(image.convert(f"{image.mode}A"))
     if image.mode in ("1", "P", "PA"):
         grey = image.mode == "1"
         return np.asarray(image.convert("L" if grey else "RGBA" if image.has_transparency_data else "RGB"))
-    if getattr(image, "is_animated", False) and image.format == "WEBP":
-        count = getattr(image, "n_frames", 0)
-        raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
     stored = image.tile[0][3] if image.format == "PPM" else ""  # type: ignore[attr-defined]  # raw mode, largest value
     if image.mode == "RGB" and isinstance(stored, tuple) and int(stored[1]) > 255:
         raise LightFieldError(f"{path} is a PPM of 16-bit colour, which cannot be read; save it as PNG or TIFF.")
@@ -209,6 +206,14 @@ def _is_misread_by_pillow(image: Image.Image) -> bool:
     return sixteen_bit_planes or big_endian_compressed_float
 
 
+def _check_one_page(path: Path) -> None:
+    if others := further_pictures(path):
+        raise LightFieldError(
+            f"{path} has {1 + others} pages of one size, but a view is one page: save the page that is the view alone, "
+            "or as one page of RGB if the pages are its colours."
+        )
+
+
 def _decode_tiff(path: Path) -> tuple[NDArray[Any], set[str]]:
     """Decode a TIFF that Pillow does not know (float colour, float64) or misreads, by way of the optional tifffile."""
     if importlib.util.find_spec("tifffile") is None:
@@ -220,6 +225,7 @@ def _decode_tiff(path: Path) -> tuple[NDArray[Any], set[str]]:
     from tifffile import TiffFile
 
     check_pages(path)
+    _check_one_page(path)
     with TiffFile(path) as file:
         for page in file.pages:
             check_claim(path, page.shape, page.dtype or np.uint8)

@@ -147,6 +147,11 @@ def save(
     >>> lfgpu.load("result.npz").name
     'boxes'
     """
+    if not isinstance(result, DepthResult | ViewsResult | DisparityMap):
+        raise LightFieldError(
+            f"result must be what an estimate returned, or a map: lfgpu.DisparityMap(disparity); found "
+            f"{type(result).__name__}."
+        )
     path = Path(path)
     chosen = writable_format(path)
     assert chosen.write is not None  # that is what writable means

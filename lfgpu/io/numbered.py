@@ -16,6 +16,7 @@ from lfgpu.io.naming import (
     CAMERA,
     COLUMN,
     ROW,
+    SIDE,
     TIME,
     WORD,
     Name,
@@ -151,6 +152,18 @@ def frames_of(path: Path, pattern: str | None = None) -> int:
     if found is None or found.rival is not None or question(path, found.naming) is not None:
         return 1
     return len(_times(found.naming))
+
+
+def holds_cameras(path: Path) -> bool:
+    """Tell whether folders in a folder are cameras, by the words in their names: then none is a light field itself."""
+    if (found := _found(path)) is None:
+        return False
+    if found.rival is not None:
+        sides = {SIDE.sub("", str(file.relative_to(path)), count=1) for file in (found.naming.files[0], found.rival)}
+        return found.alike and len(sides) == 1
+    texts = found.naming.names[0].texts
+    places = [(k, n) for k, n in enumerate(found.naming.numbers) if n.varies and n.meaning in (ROW, COLUMN, CAMERA)]
+    return bool(places) and all("word" in n.why and "/" in "".join(texts[k + 1 :]) for k, n in places)
 
 
 # --- which pictures ---

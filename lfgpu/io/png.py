@@ -17,6 +17,7 @@ def decode_fast(path: Path, image: Image.Image) -> NDArray[np.uint8] | None:
     """Decode a grey or RGB PNG of 8 bits that Pillow has opened in half the time by imagecodecs; None for others."""
     tiles = getattr(image, "tile", None)
     plain = image.mode in _CHANNELS and tiles and tiles[0][3] == image.mode
+    plain = plain and not getattr(image, "is_animated", False)
     if image.format != "PNG" or not plain or any(name in image.info for name in _NOT_PLAIN):
         return None
     try:

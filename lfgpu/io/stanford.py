@@ -23,7 +23,7 @@ def recognise(path: Path) -> str | None:
     """Say why a path is taken for a folder of the archive; None if it is not."""
     if not path.is_dir():
         return None
-    folder = _folder(path)
+    folder = folder_of(path)
     return None if folder is None else f"it has images named out_ROW_COLUMN_Y_X, such as {_views(folder)[0][0].name}"
 
 
@@ -35,7 +35,7 @@ def read_stanford(path: Path) -> LightField:
     X counts to the right and Y downwards, whatever the rows and columns of the names do; where the pictures tell
     otherwise of Y they are followed, with a note.
     """
-    folder = _folder(path)
+    folder = folder_of(path)
     if folder is None:
         raise LightFieldError(f"{path} has no images named out_ROW_COLUMN_Y_X.png; give the folder that holds them.")
     named = _views(folder)
@@ -66,7 +66,8 @@ def _views(folder: Path) -> list[tuple[Path, re.Match[str]]]:
     return [(file, match) for file, match in matches if match]
 
 
-def _folder(path: Path) -> Path | None:
+def folder_of(path: Path) -> Path | None:
+    """Return the folder with the views: the path or one in it; None if there is none."""
     if not path.is_dir():
         return None
     return next((folder for folder in (path, *sub_folders(path)) if _views(folder)), None)

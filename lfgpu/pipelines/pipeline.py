@@ -24,7 +24,7 @@ from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.base import Callback, Plan, Work
 from lfgpu.methods.footprint import check_memory
-from lfgpu.methods.measured import Measured
+from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.recycling import KeepingDevice, RecyclingDevice
 from lfgpu.pipelines.range_confirmation import confirm
 from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
@@ -111,6 +111,8 @@ class DepthPipeline:
         self._bytes = 0  # of its memory, about
         self._graph: Callable[[], None] | None = None
         self._is_loaded = False  # whether the plan has run, which loads all kernels
+        if disparity_range is not None:
+            disparity_range = checked_range(disparity_range, lf.layout)
         self._begin(lf, is_found=measured is None and disparity_range is None)
         used = self.method.used_views(lf.offsets)  # no others go to the device
         self._used = used if len(used) < len(lf.views) else None

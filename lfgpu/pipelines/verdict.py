@@ -22,7 +22,7 @@ from lfgpu.cameras.trust import trusted
 from lfgpu.config import Config
 from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data.layout import in_pattern
-from lfgpu.data.lightfield import LightField
+from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.contradictions import no_parallax
@@ -117,6 +117,9 @@ def judged(
     >>> lfgpu.judged(lf, result).remarks
     ()
     """
+    check_light_field(lf)
+    if not isinstance(result, DepthResult):
+        raise LightFieldError(f"result must be what an estimate returned, found {type(result).__name__}.")
     found = verdict_of(
         lf,
         result,

@@ -12,6 +12,7 @@ from scipy import ndimage
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import residual_pictures
+from lfgpu.cameras import consensus
 from lfgpu.cameras.consensus import outliers, without_gauge
 from lfgpu.cameras.looking import seen_views
 from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
@@ -82,16 +83,42 @@ def test_exchanged_views_are_told_apart(boxes: LightField) -> None:
     assert found.misalignment < 0.02
 
 
+def test_of_exchanged_views_only_the_one_that_is_tried_has_another_misfit(
+    boxes: LightField, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    order = np.arange(25)
+    order[[0, 24]] = [24, 0]
+    exchanged = replace(boxes, views=boxes.views[order])
+    asked, unlike = [], consensus.unlike
+    monkeypatch.setattr(consensus, "unlike", lambda misfit, offsets: asked.append(misfit) or unlike(misfit, offsets))
+    found = lfgpu.explain(exchanged, truth(boxes))
+    tried = [misfit != found.misfit for misfit in asked if (misfit != found.misfit).any()][-2:]
+    assert [np.flatnonzero(changed).tolist() for changed in tried] == [[0], [24]]
+
+
 @pytest.mark.parametrize("change", [lambda image: 0 * image, lambda image: image[::-1], lambda image: 255 - image])
 def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     wrong = with_view(boxes, 6, change)
     result = lfgpu.estimate_depth(wrong, config="fast")
     (sentence,) = result.remarks
-    assert sentence.startswith("the view at row 1, column 1 fits the others neither there, nor moved, ")
+    assert sentence.startswith(
+        "what is shown at row 1, column 1 fits the other views at no camera's place, moved or not: "
+    )
+    assert "replace pictures that are covered" in sentence
+    assert "read the rest with --allow-missing (allow_missing=True in Python)." in sentence
     assert np.isnan(lfgpu.explain(wrong, result).brightness[6])
     np.testing.assert_array_equal(
         result.confidence, lfgpu.estimate_depth(wrong, config="fast", check_cameras=False).confidence
     )
+
+
+@pytest.mark.parametrize("line", ["row", "column"])
+def test_cameras_of_a_line_along_the_other_axis_are_named(line: str) -> None:
+    lf = scenes.make("boxes", grid=(9, 9), size=(96, 112), seed=2).subset(line)
+    assert not [said for said in lfgpu.estimate_depth(lf, config="fast").remarks if "rows of cameras" in said]
+    crossed = LightField(lf.views, lf.positions[:, ::-1])
+    (sentence,) = lfgpu.estimate_depth(crossed, config="fast").remarks
+    assert sentence == "rows of cameras are taken for columns: read it with --transpose."
 
 
 def test_turned_and_bright_views_are_named(boxes: LightField) -> None:

@@ -243,6 +243,8 @@ def test_wrong_arguments_are_refused(boxes: LightField, tmp_path: Path) -> None:
         refine(flat, disparity_range=(-1, 1))
     with pytest.raises(LightFieldError, match="an empty folder"):
         rectify(tmp_path)
+    with pytest.raises(LightFieldError, match="unit must be one of mm, cm, m, not 'foot'"):
+        rectify(boxes, calibration=known(tuple(ideal_cameras(boxes))), unit="foot", depths=(1, 2))
 
 
 def recorded(folder: Path, lf: LightField, cameras: list[Camera]) -> Path:
@@ -271,6 +273,31 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
     assert command("rectify", tmp_path, "-o", tmp_path / "out").code == 0
     assert not list((tmp_path / "out").glob("*.ply")) + list((tmp_path / "out").glob("*.pfm"))  # of the first map
     refused(command("rectify", tmp_path, "-o", tmp_path / "o2", "--positions"), "--positions is for --refine")
+
+
+def test_the_input_is_not_written_over(boxes: LightField, tmp_path: Path) -> None:
+    recorded(tmp_path, boxes, ideal_cameras(boxes))
+    before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+    refused(command("rectify", tmp_path, "-o", tmp_path / ".." / tmp_path.name), "which holds the input")
+    assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
+
+
+def test_notes_are_of_the_rectified_views_and_not_of_the_pictures(boxes: LightField, tmp_path: Path) -> None:
+    """Pictures of cameras that are far out of line contradict their places; a calibration knows why."""
+    wrong = disturb(boxes, Misalignment(shift=8), seed=3)
+    recorded(tmp_path, wrong.light_field, list(wrong.cameras))
+    assert "By their parallax" in lfgpu.read(tmp_path, grid=(3, 3)).notes[-1]
+    found = rectify(lfgpu.read(tmp_path, grid=(3, 3)), calibration=tmp_path / "cameras.toml")
+    assert found.light_field.notes == ()
+    swapped = replace(
+        boxes, views=np.flip(boxes.views.reshape(3, 3, *boxes.views.shape[1:]), 0).reshape(boxes.views.shape)
+    )
+    (note,) = rectify(swapped, tones=True).light_field.notes
+    assert note.startswith("By their parallax")
+    write_rectified(found, out := tmp_path / "out")
+    (out / "points.ply").write_text("of another map")
+    write_rectified(found, out)
+    assert not (out / "points.ply").exists()
 
 
 def test_a_wrong_calibration_is_one_sentence(boxes: LightField, tmp_path: Path) -> None:

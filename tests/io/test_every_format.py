@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 from fields import SAMPLES
+from PIL import Image
 from samples import box, refusal, save_hci, save_named
 from typer.testing import CliRunner
 
@@ -60,6 +61,13 @@ def test_every_format_refuses_folders_and_files_that_are_none(entry: Any, tmp_pa
     assert str(file) in refusal(lambda: read(file, format=entry.name))
 
 
+def test_pictures_without_numbers_are_asked_for_some(tmp_path: Path) -> None:
+    for name in ("top.png", "bottom.png"):
+        Image.new("RGB", (40, 32)).save(tmp_path / name)
+    said = refusal(lambda: read(tmp_path))
+    assert "bottom.png, top.png, whose names do not say where the cameras stood: number them, such as view_00_" in said
+
+
 def test_what_is_no_light_field(tmp_path: Path) -> None:
     missing = refusal(lambda: read(tmp_path / "nowhere"))
     assert "nowhere does not exist" in missing
@@ -69,6 +77,7 @@ def test_what_is_no_light_field(tmp_path: Path) -> None:
     for name in ("d.txt", "c.txt", "b.txt", "a.txt"):
         (tmp_path / name).write_text("")
     assert "a folder with a.txt, b.txt, c.txt and 1 more" in refusal(lambda: read(tmp_path))
+    assert "none of which is a picture that can be read: convert them" in refusal(lambda: read(tmp_path))
     text = refusal(lambda: read(tmp_path / "a.txt"))
     assert "a.txt" in text
     assert "give the folder" in text

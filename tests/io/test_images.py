@@ -301,10 +301,12 @@ def test_undefined_values_of_openexr_are_not_valid(tmp_path: Path, channels: str
     assert "0_1.exr has no pixel whose values are all finite numbers" in refusal(lambda: read(tmp_path))
 
 
-@pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"byteorder": ">"}])
-def test_further_pages_are_not_dropped(tmp_path: Path, options: dict[str, Any]) -> None:
+@pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"byteorder": ">"}, {"compression": "zlib"}])
+@pytest.mark.parametrize("dtype", [np.uint8, np.float32, np.float64])
+def test_further_pages_are_not_dropped(tmp_path: Path, options: dict[str, Any], dtype: type) -> None:
+    """Nor taken for colours: Pillow decodes some of these files, tifffile the others."""
     tifffile = pytest.importorskip("tifffile", reason="tifffile is not installed")
-    planes = np.moveaxis(picture(), 2, 0)
+    planes = np.moveaxis(picture(), 2, 0).astype(dtype)
     for column in range(2):
         tifffile.imwrite(tmp_path / f"0_{column}.tif", planes, photometric="minisblack", **options)
     assert "0_0.tif has 3 pages of one size, but a view is one page" in refusal(lambda: read(tmp_path))
@@ -323,7 +325,9 @@ def test_copies_and_masks_in_further_pages_are_passed_over(tmp_path: Path) -> No
 def test_kinds_of_pictures_that_are_refused(tmp_path: Path) -> None:
     """Among them PPM of 16-bit colour, of which Pillow keeps half."""
     first, second = (Image.fromarray(picture(seed)) for seed in range(2))
-    first.save(tmp_path / "a.webp", save_all=True, append_images=[second])
+    for name in ("a.webp", "film.png"):
+        first.save(tmp_path / name, save_all=True, append_images=[second])
+    first.quantize().save(tmp_path / "palette.png", save_all=True, append_images=[second.quantize()])
     deep = picture(0, 3, np.uint16).astype(">u2").tobytes()
     (tmp_path / "a.ppm").write_bytes(f"P6 {WIDTH} {HEIGHT} 65535\n".encode() + deep)
     (tmp_path / "a.png").write_bytes(png_bytes(WIDTH, HEIGHT, 16, 4, rows_of(picture(1, 2, np.uint16))))
@@ -331,6 +335,8 @@ def test_kinds_of_pictures_that_are_refused(tmp_path: Path) -> None:
     first.convert("CMYK").save(tmp_path / "a.jpg")
     for name, words in {
         "a.webp": "is an animation of 2 images",
+        "film.png": "is an animation of 2 images",
+        "palette.png": "is an animation of 2 images",
         "a.ppm": "is a PPM of 16-bit colour",
         "a.png": "is 16-bit grey with transparency",
         "a.tif": "has 32-bit integers",

@@ -318,6 +318,9 @@ def test_other_suffixes_are_refused(tmp_path: Path) -> None:
             lambda name=name: save(a_map(), tmp_path / name)
         )
     assert "[y, x]" in refusal(lambda: save(DisparityMap(np.zeros(3, np.float32)), tmp_path / "a.tif"))
+    for suffix in ("pfm", "npz"):
+        bare = refusal(lambda suffix=suffix: save(np.zeros((4, 5)), tmp_path / f"a.{suffix}"))  # type: ignore[arg-type]
+        assert "or a map: lfgpu.DisparityMap(disparity); found ndarray" in bare
     assert not list(tmp_path.iterdir())
 
 

@@ -14,7 +14,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.folders import natural_order, sub_folders
 from lfgpu.io.formats import kind
-from lfgpu.io.numbered import frames_of
+from lfgpu.io.numbered import frames_of, holds_cameras
 from lfgpu.io.several import ANY_IMAGES
 from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources.base import Frames, Options
@@ -39,9 +39,11 @@ def frames(source: str, options: Options) -> Frames:
     Of a folder of images of several times for each camera, the times.
     """
     path = Path(source)
-    if options.rectifier is None and kind(path) in ANY_IMAGES and (times := frames_of(path)) > 1:
-        yield from (read(path, frame=time) for time in range(times))
-        return
+    if options.rectifier is None and kind(path) in ANY_IMAGES:
+        times = frames_of(path)
+        if times > 1 or holds_cameras(path):
+            yield from (read(path, frame=time) for time in range(times))
+            return
     folders = _ordered(path)
     if not folders:
         raise LightFieldError(

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import video
-from lfgpu.io.folders import entries, natural_order
+from lfgpu.io.folders import entries, listed, natural_order
+from lfgpu.io.naming import families
 from lfgpu.pipelines.sources.base import Frames, Options, check_sizes, light_field
 
 
@@ -48,11 +49,23 @@ def tiled_frames(source: str, options: Options) -> Frames:
 def frames_of_cameras(source: str, options: Options) -> Frames:
     """Yield the frames of one video for each camera, in the order of their names, until the shortest ends."""
     paths = _videos(Path(source))
+    _check_named_alike(Path(source), paths)
     with ExitStack() as opened:
         films = [opened.enter_context(closing(video.frames(path))) for path in paths]
         for index, pictures in enumerate(zip(*films, strict=False)):
             check_sizes([str(path) for path in paths], pictures)
             yield _first(source, np.stack(pictures), index, options)
+
+
+def _check_named_alike(folder: Path, paths: list[Path]) -> None:
+    """Raise LightFieldError that names the few films, such as previews, that are not named as most are."""
+    most = next(iter(families(paths, folder)), [])
+    odd = [path for path in paths if path not in {name.file for name in most}]
+    if 0 < len(odd) < len(most):
+        raise LightFieldError(
+            f"{folder} holds {listed(odd)}, not named as the films of cameras such as {most[0].file.name}: move what "
+            "is of no camera out of the folder, and name the films of cameras alike."
+        )
 
 
 def _first(source: str, views: NDArray[Any], index: int, options: Options) -> LightField | NDArray[Any]:
