@@ -29,8 +29,7 @@ class Scene:
     """A scene with its ground truth, and the maps of several methods."""
 
     name: str
-    view: NDArray[np.float32]
-    """The view that the ground truth belongs to, float32 [y, x, c] in [0, 1]."""
+    view: NDArray[np.float32]  # the view that the ground truth belongs to, float32 [y, x, c] in [0, 1]
     truth: NDArray[np.float32]
     """The ground truth, float32 [y, x], pixels per view step; NaN where unknown or not scored."""
     maps: dict[str, NDArray[np.float32]] = field(default_factory=dict)  # the maps by method, [y, x]
@@ -53,8 +52,7 @@ class Row:
 
     scene: str
     method: str
-    values: tuple[float, ...]
-    """A value for each of `COLUMNS`; NaN without a map."""
+    values: tuple[float, ...]  # a value for each of `COLUMNS`; NaN without a map
     best: tuple[bool, ...]  # true if it is the smallest on this scene, for each of `COLUMNS`
 
     @property

@@ -41,15 +41,12 @@ class Settings:
 
     config: Config
     disparity_range: tuple[float, float] | None = None
-    place: tuple[float, float] | None = None
-    """(row, column) of the reference view; None for the default of the reader."""
+    place: tuple[float, float] | None = None  # (row, column) of the reference view; None for the default of the reader
     pattern: str = "full"
-    reading: Mapping[str, Any] = field(default_factory=dict)
-    """Keywords of `lfgpu.read`."""
+    reading: Mapping[str, Any] = field(default_factory=dict)  # keywords of `lfgpu.read`
     backend: BackendName = DEFAULT
     deterministic: bool = False
-    report: bool = False
-    """Write a report of each item; results do not depend on it."""
+    report: bool = False  # write a report of each item; results do not depend on it
     command: str = ""  # the command line, for the reports
 
     @property

@@ -4,9 +4,8 @@
 and have other focal lengths, lenses and sensors. Everything follows from a seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
@@ -39,7 +38,7 @@ class Misalignment:
             check_number(f"misalignment: {field.name}", getattr(self, field.name), 0, 1e3)
 
     @classmethod
-    def parse(cls, text: str) -> Misalignment:
+    def parse(cls, text: str) -> Self:
         """Parse a text such as "shift=1,gain=0.1"; LightFieldError if a name is unknown or a number is none."""
         known = [field.name for field in fields(cls)]
         found: dict[str, float] = {}

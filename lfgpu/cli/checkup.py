@@ -2,8 +2,6 @@
 self-test.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import multiprocessing
@@ -145,8 +143,7 @@ class Trial:
 
     what: str
     seconds: float
-    from_truth: float | None = None
-    """Median distance of the map from the ground truth, px per view step."""
+    from_truth: float | None = None  # median distance of the map from the ground truth, px per view step
     from_reference: float | None = None
     """Median distance of the map from that of the reference backend, px per view step."""
     problem: str | None = None

@@ -1,7 +1,5 @@
 """The pictures and films that `lfgpu render` writes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

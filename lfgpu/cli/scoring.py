@@ -1,7 +1,5 @@
 """Work of `lfgpu eval`: scores of a map, comparisons of methods and of batches, submissions to the benchmark."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

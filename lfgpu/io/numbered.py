@@ -42,8 +42,7 @@ class _Found:
     folder: Path
     naming: Naming
     left_out: tuple[Path, ...]
-    rival: Path | None
-    """One of the pictures that may as well be the views."""
+    rival: Path | None  # one of the pictures that may as well be the views
     alike: bool = False  # true if these have the same numbers: words may name cameras, and numbers times
 
 

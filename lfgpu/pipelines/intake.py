@@ -1,7 +1,5 @@
 """Intake of frames into a stream: they are checked, and copied to the memory where they wait for the device."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any

@@ -4,8 +4,6 @@ Evidence for a range are pixels that match others at one disparity only. Surface
 have few such pixels; only a map of all pixels shows where they lie.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

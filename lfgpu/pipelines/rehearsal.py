@@ -1,7 +1,5 @@
 """Rehearsal of a method on a small part of the views: kernels are compiled and loaded before its clock starts."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Sequence
 from contextlib import suppress

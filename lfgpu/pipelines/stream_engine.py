@@ -4,8 +4,6 @@ Levels go from one step of the alignment to all steps of the config. With a budg
 that fits, by the time that the device took for it before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial

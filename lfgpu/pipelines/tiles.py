@@ -6,8 +6,6 @@ are those of the whole light field. Small differences from an estimate in one pi
 matching begin at the edge of the tile, and the solvers of the synthesis end there.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import queue

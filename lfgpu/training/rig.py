@@ -1,7 +1,5 @@
 """Rigs: the cameras of light fields as the generator draws others like them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

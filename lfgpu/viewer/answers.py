@@ -1,7 +1,5 @@
 """Answers to pages, as functions of the contents and the words of a request, without anything of the web."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace

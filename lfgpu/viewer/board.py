@@ -30,12 +30,9 @@ Switch = Callable[[bool], None]
 class Stream:
     """The facts about a stream; None is unknown."""
 
-    rate: float | None = None
-    """Frames per second."""
-    latency: float | None = None
-    """Seconds from a frame to its map."""
-    dropped: int | None = None
-    """Frames that were dropped so far."""
+    rate: float | None = None  # frames per second
+    latency: float | None = None  # seconds from a frame to its map
+    dropped: int | None = None  # frames that were dropped so far
     paused: bool = False
     recording: bool = False
 

@@ -1,7 +1,5 @@
 """Facts that pages are told of the state of a viewer, as plain values for JSON, without anything of the web."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import threading

@@ -1,9 +1,8 @@
 """A film: the frames that `lfgpu live --record` kept, and the maps that `lfgpu live -o` wrote of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.result import DisparityMap
@@ -22,7 +21,7 @@ class Film:
     maps: LiveMaps | None = None  # the maps of the frames, if there are some
 
     @classmethod
-    def of(cls, path: Path) -> Film | None:
+    def of(cls, path: Path) -> Self | None:
         """Return the film in a folder; None if there is none."""
         frames = _recorded(path)
         return cls(path, frames) if frames else None
@@ -38,7 +37,7 @@ class Film:
             raise LightFieldError(f"{self.path} has no frame {number}.")
         return replace(read(self.frames[number], allow_missing=True), name=self.name)
 
-    def with_maps(self, path: Path, number: int) -> Film:
+    def with_maps(self, path: Path, number: int) -> Self:
         """Return the film with the maps in a folder; LightFieldError if none is of its frame `number`."""
         maps = LiveMaps.of(path)
         if maps.number(_of(self.light_field(number)), number) is None:

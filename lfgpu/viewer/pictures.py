@@ -4,8 +4,6 @@ Views come as intensities in the whole range of uint8, or of uint16 where they a
 come as float32, so that pages colour them.
 """
 
-from __future__ import annotations
-
 import math
 from threading import Lock
 from typing import Any

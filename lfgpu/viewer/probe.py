@@ -1,7 +1,5 @@
 """Measurements at pixels and along lines that pages ask for: costs of disparities, differences of maps, statistics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Results and maps as files that pages offer for download."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace

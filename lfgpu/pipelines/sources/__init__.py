@@ -1,7 +1,5 @@
 """Sources of frames of `lfgpu live`: one table, a file and an entry each. The first that recognises a text opens it."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Loop that feeds a stream from a source."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable

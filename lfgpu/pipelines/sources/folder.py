@@ -1,7 +1,5 @@
 """Source of light fields in a folder: one sub-folder for each frame, all there or still coming."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recording of frames as they come, so that they can be played again: `lfgpu live FOLDER`."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace

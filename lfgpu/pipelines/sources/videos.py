@@ -1,7 +1,5 @@
 """Source of videos: one for each camera, or one whose frames are grids of views (extra `video`)."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
