@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu as run_command
-from command_line import refused, said
+from command_line import lfgpu as run_command, refused, said
 from lfgpu.kernels.warp import recording as exporting
 
 import lfgpu

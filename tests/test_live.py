@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import Outcome, said
-from command_line import lfgpu as run_command
+from command_line import Outcome, lfgpu as run_command, said
 
 import lfgpu
 from lfgpu import scenes

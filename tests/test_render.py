@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from walls import SIZE as WALL
-from walls import wall
+from walls import SIZE as WALL, wall
 
 import lfgpu
 from lfgpu import scenes

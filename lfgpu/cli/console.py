@@ -168,12 +168,12 @@ def waiting(text: str = "", *, quiet: bool = False, counts: bool = False) -> Ite
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
+        Progress as Display,
         SpinnerColumn,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
-    from rich.progress import Progress as Display
 
     console = Console(stderr=True, highlight=False, markup=False)
     console.quiet = quiet or not console.is_terminal  # rich 13 ends a display that is disabled with an empty line

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import lfgpu as command
-from command_line import refused
+from command_line import lfgpu as command, refused
 from disturbed import displaced, truth, with_view
 from scipy import ndimage
 

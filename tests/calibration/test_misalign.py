@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu as command
-from command_line import refused
+from command_line import lfgpu as command, refused
 from PIL import Image
 
 import lfgpu
