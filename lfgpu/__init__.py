@@ -13,7 +13,7 @@ import importlib.util
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from lfgpu.data import hooks as _hooks
+from lfgpu import hooks as _hooks
 
 if TYPE_CHECKING:
     from lfgpu._backends import (
@@ -21,7 +21,8 @@ if TYPE_CHECKING:
         describe_backends as describe_backends,
         list_backends as list_backends,
     )
-    from lfgpu.cameras import Explanation as Explanation, Reason as Reason, explain as explain, reasons as reasons
+    from lfgpu.cameras import Explanation as Explanation, explain as explain
+    from lfgpu.cameras.reasons import Reason as Reason, reasons as reasons
     from lfgpu.config import Config as Config
     from lfgpu.data.filling import fill_unknown as fill_unknown
     from lfgpu.data.geometry import Geometry as Geometry

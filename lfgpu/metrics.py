@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data.lightfield import GroundTruth
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, GroundTruth
 from lfgpu.data.summary import view_at
 from lfgpu.errors import LightFieldError
 

@@ -15,7 +15,7 @@ from lfgpu.kernels.warp import recording as exporting
 import lfgpu
 from lfgpu import Rectifier, scenes
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import write_hci
 from lfgpu.threads import get_threads
 

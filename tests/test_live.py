@@ -13,7 +13,7 @@ from command_line import Outcome, lfgpu as run_command, said
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci
 from lfgpu.pipelines.sources import open_source, recorded

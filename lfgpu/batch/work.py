@@ -27,8 +27,7 @@ from lfgpu.methods.measured import Measured
 from lfgpu.printable import message, printable
 
 if TYPE_CHECKING:
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data import DepthResult, LightField
     from lfgpu.pipelines.resident import Resident
 
 _PREVIEW = 250_000  # pixels at most of the pictures for the page, such as 577 x 433

@@ -14,8 +14,8 @@ from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import pixels
 from lfgpu.cameras.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data import LightField
 from lfgpu.data.light_field_checks import check_number
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
 

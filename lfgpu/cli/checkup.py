@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendInfo, BackendName, backend_named, describe_backends, load
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LfgpuError
 from lfgpu.io import read, read_map, save, write_hci
 from lfgpu.io.damage import how_to_install, physical_memory

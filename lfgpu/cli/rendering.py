@@ -10,9 +10,7 @@ import typer
 
 from lfgpu.cli.options import Estimation
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, LightField, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import VIEWS_FILE, load, one_map
 from lfgpu.viz.refocusing import all_in_focus, refocus

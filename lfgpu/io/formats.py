@@ -11,10 +11,9 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
+from lfgpu.data import Inside, LightField
 from lfgpu.data.light_field_checks import check_whole
-from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
-from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
     blender,

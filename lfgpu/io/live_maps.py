@@ -10,7 +10,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import DAMAGE
 from lfgpu.io.folders import not_waited_for

@@ -16,8 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import exr, image_maps, pfm, ply, results
 from lfgpu.io.atomic import atomic_write

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax
 from lfgpu.io.arrays import grid_shape

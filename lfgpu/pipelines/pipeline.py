@@ -14,11 +14,9 @@ import numpy as np
 from lfgpu._backends import DEFAULT, BackendName, open_device, package_of
 from lfgpu.config import Config
 from lfgpu.contract import Array, Float32Array
-from lfgpu.data import interop
+from lfgpu.data import DepthResult, LightField, check_light_field, interop
 from lfgpu.data.light_field_checks import check_scaled
-from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.mapping import is_mapped
-from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.layout import ViewLayout
+from lfgpu.data import ViewLayout
 from lfgpu.methods.disparity_range import largest_disparity
 from lfgpu.pipelines.verdict import MANY
 

@@ -6,7 +6,7 @@ from contextlib import suppress
 from typing import Any
 
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Method
 from lfgpu.methods.disparity_range import find_disparity_range

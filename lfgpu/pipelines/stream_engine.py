@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import Array, Device, Float64Array
 from lfgpu.contract.streaming import Streaming
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods.base import Method
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior

@@ -22,9 +22,8 @@ from numpy.typing import NDArray
 from lfgpu._backends import alike, open_device
 from lfgpu.config import Config
 from lfgpu.contract import REDUCTION, Float32Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import DepthResult, LightField
 from lfgpu.data.mapping import each_view, forget, is_mapped
-from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Method

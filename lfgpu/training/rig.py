@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import open_device
 from lfgpu.contract import Float64Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods import method_of
 from lfgpu.methods.matching.noise import measured_grain
 from lfgpu.pipelines.pipeline import measured_on

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, LightField
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.reporting import heard_by
 from lfgpu.viewer.contents import LIVE, Contents, Entry, opened, opened_all

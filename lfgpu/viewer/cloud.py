@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.points import point_cloud
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, point_cloud
 from lfgpu.errors import LightFieldError
 from lfgpu.viz.scales import scale_limits
 

@@ -10,9 +10,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_map, load, one_map, read
 from lfgpu.metrics import Metrics, evaluate

@@ -12,8 +12,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 
 from lfgpu.config import Config, parameters
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.data.summary import are_counted
 from lfgpu.io import MAP_FORMATS
 from lfgpu.methods import METHODS, PRESETS, nearest_preset

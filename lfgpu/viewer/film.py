@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Self
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.description import DEFAULT_NAME

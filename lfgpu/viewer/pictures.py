@@ -12,8 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents, Entry
 from lfgpu.viewer.late import import_all

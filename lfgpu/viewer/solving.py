@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.config import Config
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.viewer.late import import_all

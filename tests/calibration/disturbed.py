@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 
 
 def truth(lf: LightField) -> np.ndarray:

@@ -15,8 +15,7 @@ from lfgpu.cameras.consensus import outliers, without_gauge
 from lfgpu.cameras.looking import seen_views
 from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
 from lfgpu.cameras.tones import match_tones
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Reading
+from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
 from lfgpu.io.flips import flipped

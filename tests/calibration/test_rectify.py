@@ -24,7 +24,7 @@ from lfgpu.calibration import (
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.formats import Calibration
 from lfgpu.calibration.parallel import ideal_cameras
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map
 

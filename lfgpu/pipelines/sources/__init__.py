@@ -5,8 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField, interop
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources import devices, folder, grabber, scene, shared_memory, videos

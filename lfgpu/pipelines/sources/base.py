@@ -6,7 +6,7 @@ from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.rectifier import Rectifier
 

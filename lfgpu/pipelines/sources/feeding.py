@@ -5,7 +5,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.pipelines.sources.base import Frames
 from lfgpu.pipelines.stream import DepthStream
 from lfgpu.pipelines.stream_result import StreamResult

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.folders import natural_order, sub_folders

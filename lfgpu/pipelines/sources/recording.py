@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField, interop
 from lfgpu.io.atomic import atomic_folder
 from lfgpu.io.description import DEFAULT_NAME, write_description
 from lfgpu.pipelines.sources.base import Frames
