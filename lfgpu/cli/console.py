@@ -27,11 +27,7 @@ Progress = Callable[[str, int, float], None]
 
 _LABELS = 13  # characters: the width of labels, so that several blocks are aligned
 _NARROWEST = 100  # columns at least where the output is not a terminal
-_RUNNERS = {
-    "keys": "key views",
-    "join": "all views",
-    "tiles": "tiles",
-}  # stages of pipelines, beside those of the method
+_RUNNERS = {"keys": "key views", "join": "all views", "tiles": "tiles"}  # stages of pipelines, beside the method's
 _SHARE = "share"  # the value that these report
 
 

@@ -51,7 +51,7 @@ class Rendering:
             middle, reach = (far + near) / 2, (near - far) / 2
             yield from (refocus(self.lf, float(middle - reach * math.cos(turn))) for turn in turns)
             return
-        render = self._renderer()
+        render = Renderer(self.lf, self._maps(), backend=self.estimation.backend, device=self.estimation.device)
         low, high = self.lf.positions.min(axis=0), self.lf.positions.max(axis=0)
         centre, (u, v) = (low + high) / 2, _REACH * (high - low) / 2
         for turn in turns:
@@ -59,9 +59,6 @@ class Rendering:
             column = centre[0] + (0 if sweep == "down" else u * across)
             row = centre[1] + (0 if sweep == "across" else v * math.sin(turn))
             yield render(float(row), float(column)).image
-
-    def _renderer(self) -> Renderer:
-        return Renderer(self.lf, self._maps(), backend=self.estimation.backend, device=self.estimation.device)
 
     def _maps(self) -> ViewsResult:
         """Read the maps of all views, or estimate them."""

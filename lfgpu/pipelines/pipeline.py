@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -20,7 +21,7 @@ from lfgpu.data.mapping import is_mapped
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
-from lfgpu.methods.base import Callback, Plan, Work
+from lfgpu.methods.base import Plan, Work
 from lfgpu.methods.footprint import check_memory
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.recycling import KeepingDevice, RecyclingDevice
@@ -388,7 +389,7 @@ class DepthPipeline:
             if on_progress is not None:
                 on_progress(stage, 0, 0.0)
             with self._device.asking():
-                work(None if on_progress is None else _of_stage(on_progress, stage))
+                work(None if on_progress is None else partial(on_progress, stage))
             self.kernels.number(self._waited_for)
 
     def _rectify(self) -> None:
@@ -461,10 +462,6 @@ class DepthPipeline:
         start = perf_counter()
         yield
         self._timings[stage] = self._timings.get(stage, 0.0) + perf_counter() - start
-
-
-def _of_stage(on_progress: Progress, stage: str) -> Callback:
-    return lambda iteration, value: on_progress(stage, iteration, value)
 
 
 def measured_on(

@@ -214,14 +214,6 @@ def _are_two_numbers(values: object) -> bool:
     return numbers and all(abs(value) <= LARGEST for value in values)
 
 
-def _stop(board: Board, _: Mapping[str, Any]) -> None:
-    board.solver.stop()
-
-
-def _switch(board: Board, wish: Mapping[str, Any]) -> None:
-    board.switch(str(wish.get("name")), bool(wish.get("on")))
-
-
 def _turn(board: Board, wish: Mapping[str, Any]) -> None:
     number = wish.get("frame")
     if not isinstance(number, int):
@@ -232,8 +224,8 @@ def _turn(board: Board, wish: Mapping[str, Any]) -> None:
 ACTIONS: dict[str, Callable[[Board, Mapping[str, Any]], None]] = {
     "open": _open,
     "estimate": _estimate,
-    "stop": _stop,
-    "switch": _switch,
+    "stop": lambda board, _: board.solver.stop(),
+    "switch": lambda board, wish: board.switch(str(wish.get("name")), bool(wish.get("on"))),
     "turn": _turn,
 }
 """Actions that pages ask for."""

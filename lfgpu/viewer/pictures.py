@@ -23,7 +23,7 @@ TILE = 512
 _FOCUS_VIEWS, _QUICK_FOCUS_VIEWS = (
     49,
     25,
-)  # of a refocused picture, and of one that is sent smaller, to follow its slider
+)  # of a refocused picture, and of a smaller one that follows its slider
 _SHARP_VIEWS = 13  # of a picture that is in focus everywhere
 _ROOM = 64 * 2**20  # bytes of small views that are kept
 _MET = 0.75  # pixels: a point that is not farther from a place is seen there
