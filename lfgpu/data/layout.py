@@ -48,8 +48,7 @@ class ViewLayout:
 
     @property
     def farthest(self) -> float:
-        """Return the largest distance of views at `offsets` [n, 2] from the reference view, along u or v, in view
-        steps."""
+        """The largest distance of a view from the reference view, along u or v, in view steps."""
         return farthest(self.offsets)
 
     def row(self) -> NDArray[np.intp]:

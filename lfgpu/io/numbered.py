@@ -221,7 +221,8 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing
         return naming, []
     wanted, every = times[frame or 0], set(naming.places)
     kept = [k for k, time in enumerate(values(naming.of(TIME))) if time == wanted]
-    naming = _part(naming, kept)
+    numbers = tuple(replace(number, values=tuple(number.values[k] for k in kept)) for number in naming.numbers)
+    naming = Naming(tuple(naming.names[k] for k in kept), numbers)
     places, cameras = set(naming.places), len(every)
     if len(places) < cameras and not allow_missing:
         raise LightFieldError(
@@ -233,11 +234,6 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing
         f"There are {cameras} cameras and {len(times)} times; this is time {frame or 0} ({naming.files[0].name} "
         "...): take another with frame=1 (--frame 1 on the command line), or all with lfgpu batch or lfgpu live."
     ]
-
-
-def _part(naming: Naming, kept: Sequence[int]) -> Naming:
-    numbers = tuple(replace(number, values=tuple(number.values[k] for k in kept)) for number in naming.numbers)
-    return Naming(tuple(naming.names[k] for k in kept), numbers)
 
 
 # --- rows and columns ---

@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from lfgpu.config import Config, parameters
+from lfgpu.config import parameters
 from lfgpu.data import LightField
 from lfgpu.data.summary import are_counted
 from lfgpu.io import MAP_FORMATS
@@ -187,7 +187,9 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
     about = ""
     if result is not None:
         took = "" if result.seconds is None else f", {result.seconds:.2g} s"
-        run = f"{_preset(result.config)}; {result.backend} on {result.device}{took}. {result.status}"
+        preset, differs = nearest_preset(result.config)
+        preset += ", changed" if differs else ""
+        run = f"Preset {preset}; {result.backend} on {result.device}{took}. {result.status}"
         about = run if result.converged else f"{run} Not converged: more iterations may improve the map."
     return {
         "name": name,
@@ -221,11 +223,6 @@ def _findings(entry: Entry, scores: Metrics | None) -> list[str]:
         if unsure > _MOST:
             found.append(f"The confidence is below 0.5 at {unsure:.0f} % of the map.")
     return found
-
-
-def _preset(config: Config) -> str:
-    name, changed = nearest_preset(config)
-    return f"Preset {name}" if not changed else f"Preset {name}, changed"
 
 
 def _scales(contents: Contents, before: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -22,7 +22,8 @@ class Film:
     @classmethod
     def of(cls, path: Path) -> Self | None:
         """Return the film in a folder; None if there is none."""
-        frames = _recorded(path)
+        found = {int(place.name.rpartition("_")[2]): place for place in path.glob("frame_" + "[0-9]" * 6)}
+        frames = {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}
         return cls(path, frames) if frames else None
 
     @property
@@ -61,9 +62,3 @@ def _of(lf: LightField) -> str:
 def holds_maps_of_frames(path: Path) -> bool:
     """Tell whether a folder is what `lfgpu live -o` wrote."""
     return (path / LOG).is_file()
-
-
-def _recorded(folder: Path) -> dict[int, Path]:
-    """Return the folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
-    found = {int(place.name.rpartition("_")[2]): place for place in folder.glob("frame_" + "[0-9]" * 6)}
-    return {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}
