@@ -17,7 +17,7 @@ from lfgpu import DepthPipeline, LightField, estimate_depth, scenes
 from lfgpu._backends import load, open_device
 from lfgpu.cameras import looking, screening
 from lfgpu.contract import Device
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult
 from lfgpu.methods import base
 from lfgpu.methods.base import Method
 from lfgpu.methods.matching import method

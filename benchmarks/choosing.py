@@ -20,7 +20,7 @@ from torch import Tensor
 
 from lfgpu._backends import DEFAULT, open_device
 from lfgpu.contract import CLOSE, COMPARED, Device, Float32Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Method

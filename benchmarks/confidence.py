@@ -27,7 +27,7 @@ from benchmarks.options import Out, Presets, check_out, listed, save, say
 from benchmarks.tables import NONE, Table
 from lfgpu import LightField, estimate_depth, read, scenes
 from lfgpu._backends import DEFAULT, load, open_device
-from lfgpu.data.lightfield import GroundTruth
+from lfgpu.data import GroundTruth
 from lfgpu.io.atomic import atomic_write
 from lfgpu.methods import method_of
 from lfgpu.methods.matching import trust

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from benchmarks.options import check_out
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.io.atomic import atomic_write
 from lfgpu.metrics import evaluate
 from lfgpu.pipelines.estimate import estimate_depth

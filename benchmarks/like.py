@@ -18,7 +18,7 @@ from benchmarks.tables import Table
 from lfgpu import LightField, scenes
 from lfgpu._backends import DEFAULT, open_device
 from lfgpu.calibration.misalign import displacements
-from lfgpu.data.lightfield import GroundTruth
+from lfgpu.data import GroundTruth
 from lfgpu.methods import configured
 from lfgpu.methods.matching.learned import BUILT_IN, read_weights
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfgpu import scenes
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.threads import get_threads
 
 RANGE = (-1.5, 1.5)

@@ -15,7 +15,7 @@ from benchmarks.options import DeviceName, known_backend
 from benchmarks.tables import NONE, Table
 from lfgpu._backends import open_device
 from lfgpu.contract import Device
-from lfgpu.data.layout import ViewLayout
+from lfgpu.data import ViewLayout
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.learned import Network, layers
 from lfgpu.methods.matching.unet import Weights

@@ -19,7 +19,7 @@ from benchmarks.runs import FOUND, RANGES
 from lfgpu import LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.comparison import Scene
 from lfgpu.config import Config
-from lfgpu.data.lightfield import GroundTruth
+from lfgpu.data import GroundTruth
 from lfgpu.errors import LfgpuError
 from lfgpu.io import atomic_write
 from lfgpu.methods import preset as named_preset

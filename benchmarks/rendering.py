@@ -14,7 +14,7 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.options import DATA, Data, Out, Preset, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu.contract import Float32Array, Float64Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read
 from lfgpu.methods import method_of
 from lfgpu.pipelines.all_views import estimate_all_views

@@ -13,9 +13,8 @@ from benchmarks.options import Out, Presets, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu._backends import open_device
-from lfgpu.data.result import DepthResult
-from lfgpu.methods import method_of
-from lfgpu.methods import preset as named
+from lfgpu.data import DepthResult
+from lfgpu.methods import method_of, preset as named
 from lfgpu.pipelines import tiles
 
 RANGE = (-1.6, 1.7)

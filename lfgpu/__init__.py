@@ -13,32 +13,25 @@ import importlib.util
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from lfgpu.data import hooks as _hooks
+from lfgpu import hooks as _hooks
 
 if TYPE_CHECKING:
-    from lfgpu._backends import BackendInfo as BackendInfo
-    from lfgpu._backends import describe_backends as describe_backends
-    from lfgpu._backends import list_backends as list_backends
-    from lfgpu.cameras import Explanation as Explanation
-    from lfgpu.cameras import Reason as Reason
-    from lfgpu.cameras import explain as explain
-    from lfgpu.cameras import reasons as reasons
+    from lfgpu._backends import (
+        BackendInfo as BackendInfo,
+        describe_backends as describe_backends,
+        list_backends as list_backends,
+    )
+    from lfgpu.cameras import Explanation as Explanation, explain as explain
+    from lfgpu.cameras.reasons import Reason as Reason, reasons as reasons
     from lfgpu.config import Config as Config
     from lfgpu.data.filling import fill_unknown as fill_unknown
     from lfgpu.data.geometry import Geometry as Geometry
-    from lfgpu.data.lightfield import GroundTruth as GroundTruth
-    from lfgpu.data.lightfield import LightField as LightField
-    from lfgpu.data.points import PointCloud as PointCloud
-    from lfgpu.data.points import point_cloud as point_cloud
-    from lfgpu.data.result import DepthResult as DepthResult
-    from lfgpu.data.result import DisparityMap as DisparityMap
+    from lfgpu.data.lightfield import GroundTruth as GroundTruth, LightField as LightField
+    from lfgpu.data.points import PointCloud as PointCloud, point_cloud as point_cloud
+    from lfgpu.data.result import DepthResult as DepthResult, DisparityMap as DisparityMap
     from lfgpu.data.views_result import ViewsResult as ViewsResult
-    from lfgpu.errors import BackendError as BackendError
-    from lfgpu.errors import LfgpuError as LfgpuError
-    from lfgpu.errors import LightFieldError as LightFieldError
-    from lfgpu.io import load as load
-    from lfgpu.io import read as read
-    from lfgpu.io import save as save
+    from lfgpu.errors import BackendError as BackendError, LfgpuError as LfgpuError, LightFieldError as LightFieldError
+    from lfgpu.io import load as load, read as read, save as save
     from lfgpu.io.labelled import to_xarray as to_xarray
     from lfgpu.methods import PRESETS as PRESETS
     from lfgpu.methods.temporal_prior import TemporalPrior as TemporalPrior
@@ -46,25 +39,18 @@ if TYPE_CHECKING:
     from lfgpu.pipelines.all_views import estimate_all_views as estimate_all_views
     from lfgpu.pipelines.estimate import estimate_depth as estimate_depth
     from lfgpu.pipelines.export import export_pipeline as export_pipeline
-    from lfgpu.pipelines.grouper import FrameGroup as FrameGroup
-    from lfgpu.pipelines.grouper import FrameGrouper as FrameGrouper
+    from lfgpu.pipelines.grouper import FrameGroup as FrameGroup, FrameGrouper as FrameGrouper
     from lfgpu.pipelines.pipeline import DepthPipeline as DepthPipeline
     from lfgpu.pipelines.rectifier import Rectifier as Rectifier
-    from lfgpu.pipelines.resident import kept_memory as kept_memory
-    from lfgpu.pipelines.resident import set_kept_memory as set_kept_memory
+    from lfgpu.pipelines.resident import kept_memory as kept_memory, set_kept_memory as set_kept_memory
     from lfgpu.pipelines.stream import DepthStream as DepthStream
-    from lfgpu.pipelines.stream_result import FrameDroppedError as FrameDroppedError
-    from lfgpu.pipelines.stream_result import StreamResult as StreamResult
+    from lfgpu.pipelines.stream_result import FrameDroppedError as FrameDroppedError, StreamResult as StreamResult
     from lfgpu.pipelines.verdict import judged as judged
     from lfgpu.reports.report import write_report as write_report
-    from lfgpu.threads import get_threads as get_threads
-    from lfgpu.threads import set_threads as set_threads
+    from lfgpu.threads import get_threads as get_threads, set_threads as set_threads
     from lfgpu.viewer import Viewer as Viewer
-    from lfgpu.viz.refocusing import all_in_focus as all_in_focus
-    from lfgpu.viz.refocusing import refocus as refocus
-    from lfgpu.viz.rendering import RenderedView as RenderedView
-    from lfgpu.viz.rendering import Renderer as Renderer
-    from lfgpu.viz.rendering import render_view as render_view
+    from lfgpu.viz.refocusing import all_in_focus as all_in_focus, refocus as refocus
+    from lfgpu.viz.rendering import RenderedView as RenderedView, Renderer as Renderer, render_view as render_view
 
     __version__: str
     """The version of the package that is installed."""

@@ -29,8 +29,7 @@ class Scene:
     """A scene with its ground truth, and the maps of several methods."""
 
     name: str
-    view: NDArray[np.float32]
-    """The view that the ground truth belongs to, float32 [y, x, c] in [0, 1]."""
+    view: NDArray[np.float32]  # the view that the ground truth belongs to, float32 [y, x, c] in [0, 1]
     truth: NDArray[np.float32]
     """The ground truth, float32 [y, x], pixels per view step; NaN where unknown or not scored."""
     maps: dict[str, NDArray[np.float32]] = field(default_factory=dict)  # the maps by method, [y, x]
@@ -53,8 +52,7 @@ class Row:
 
     scene: str
     method: str
-    values: tuple[float, ...]
-    """A value for each of `COLUMNS`; NaN without a map."""
+    values: tuple[float, ...]  # a value for each of `COLUMNS`; NaN without a map
     best: tuple[bool, ...]  # true if it is the smallest on this scene, for each of `COLUMNS`
 
     @property
@@ -125,11 +123,11 @@ def table_of(methods: tuple[str, ...], scores: Mapping[str, Mapping[str, Metrics
     """Make the table from scores by scene and method; LightFieldError if there is no scene."""
     if not scores:
         raise LightFieldError("there is nothing to compare; give at least one scene.")
-    rows = [row for scene, of in scores.items() for row in _rows(scene, methods, of)]
-    common = [of for of in scores.values() if len(of) == len(methods)]
+    values = {scene: np.array([_values(of, method) for method in methods]) for scene, of in scores.items()}
+    rows = [row for scene, found in values.items() for row in _best(scene, methods, found)]
+    common = [values[scene] for scene, of in scores.items() if len(of) == len(methods)]
     if len(common) > 1:
-        means = np.array([[_values(of, method) for method in methods] for of in common]).mean(axis=0)
-        rows += _best(f"{_AVERAGE} of {len(common)}", methods, means)
+        rows += _best(f"{_AVERAGE} of {len(common)}", methods, np.mean(common, axis=0))
     return Table(methods, tuple(rows))
 
 
@@ -137,10 +135,6 @@ def error_map(values: ArrayLike, truth: ArrayLike) -> NDArray[np.float32]:
     """Compute disparity minus truth, [y, x], pixels per view step; NaN where either is undefined."""
     found = np.asarray(values, np.float32) - np.asarray(truth, np.float32)
     return np.where(np.isfinite(found), found, np.float32(np.nan))
-
-
-def _rows(scene: str, methods: tuple[str, ...], scores: Mapping[str, Metrics]) -> list[Row]:
-    return _best(scene, methods, np.array([_values(scores, method) for method in methods]))
 
 
 def _best(scene: str, methods: tuple[str, ...], values: NDArray[np.float64]) -> list[Row]:

@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.data import DepthResult, DisparityMap, GroundTruth
 from lfgpu.data.light_field_checks import array_of_numbers, check_number, check_whole, without_masked
-from lfgpu.data.lightfield import GroundTruth
-from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.data.summary import view_at
 from lfgpu.errors import LightFieldError
 
@@ -225,16 +224,11 @@ def sparsification(
 class Reliability:
     """A reliability diagram: how many pixels of each stated confidence are right. Bins without a pixel are left out."""
 
-    said: NDArray[np.float64]
-    """Mean confidence of the pixels of each bin, 0 to 1."""
-    right: NDArray[np.float64]
-    """Percent of them that are within the threshold of the truth."""
-    share: NDArray[np.float64]
-    """Percent of all scored pixels that are in the bin."""
-    threshold: float
-    """Pixels with |error| <= threshold, pixels per view step, are right."""
-    count: int
-    """Number of scored pixels."""
+    said: NDArray[np.float64]  # mean confidence of the pixels of each bin, 0 to 1
+    right: NDArray[np.float64]  # percent of them that are within the threshold of the truth
+    share: NDArray[np.float64]  # percent of all scored pixels that are in the bin
+    threshold: float  # pixels with |error| <= threshold, pixels per view step, are right
+    count: int  # number of scored pixels
 
     def __repr__(self) -> str:
         bins = ", ".join(f"{100 * s:.0f} -> {r:.1f}" for s, r in zip(self.said, self.right, strict=True))
@@ -372,10 +366,8 @@ class RegionMetric:
     """One measure."""
 
     name: str
-    mask: str
-    """The name of the benchmark's mask."""
-    unit: str
-    """ "%" of the pixels of the mask, or "x100"."""
+    mask: str  # the name of the benchmark's mask
+    unit: str  # "%" of the pixels of the mask, or "x100"
     values: Callable[[NDArray[np.float64]], NDArray[np.float64]]
     """Values whose mean over the mask is the measure, [y, x], from estimate - truth; NaN of the estimate stays NaN."""
 

@@ -26,13 +26,9 @@ def _shortened(text: str, longest: int) -> str:
 
 
 def _seen(character: str, kept: str) -> str:
-    if _is_seen(character) or character in kept:
+    if character.isprintable() or unicodedata.category(character) == "Zs" or character in kept:  # spaces of all widths
         return character
     return character.encode("unicode_escape").decode()
-
-
-def _is_seen(character: str) -> bool:
-    return character.isprintable() or unicodedata.category(character) == "Zs"  # spaces of all widths
 
 
 def message(text: str) -> str:

@@ -1,7 +1,5 @@
 """Vulkan devices of this machine: their names, drivers and memory, and whether kernels can run there."""
 
-from __future__ import annotations
-
 import ctypes
 import os
 import struct

@@ -28,7 +28,7 @@ FLOORS = (
     ("contract", "config", "threads", "machine"),
     ("vulkan",),
     ("errors",),
-    ("printable",),
+    ("printable", "hooks"),
 )
 """The rooms, from the top floor down. An arrow leads to the same floor or down, never up and never in a circle."""
 

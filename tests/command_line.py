@@ -8,7 +8,7 @@ from typer.testing import CliRunner
 
 from lfgpu import scenes
 from lfgpu.cli import app
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 
 OUTPUTS = {"confidence.png", "depth.pfm", "disparity.pfm", "disparity.png", "result.npz"}
 RANGE = ("--disparity-range", "-2,2")

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from lfgpu._backends import DEFAULT, list_backends, load
 from lfgpu.contract import Device, KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import BackendError
 from lfgpu.io import write_hci
 from lfgpu.pipelines import verdict

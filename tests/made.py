@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.methods import PRESETS
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 
 RANGE = (-1.5, 1.5)
 FRAMES = 6

@@ -10,9 +10,8 @@ import pytest
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.contract import Device
+from lfgpu.data import LightField, ViewsResult
 from lfgpu.data.filling import fill_unknown
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.metrics import evaluate
 from lfgpu.pipelines.all_views import Join, estimate_all_views, spread_out

@@ -16,7 +16,7 @@ from lfgpu.kernels.warp import threads
 from lfgpu import _backends, scenes
 from lfgpu._backends import load, open_device
 from lfgpu.contract import KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import BackendError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Work

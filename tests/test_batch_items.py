@@ -25,8 +25,7 @@ from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.contract import Device
-from lfgpu.io import load as load_result
-from lfgpu.io import read, read_map
+from lfgpu.io import load as load_result, read, read_map
 from lfgpu.methods import method_of, preset
 
 # --- what there is to do ---

@@ -13,7 +13,7 @@ from PIL import Image
 from lfgpu import get_threads, scenes, set_threads
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import demo, summary
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import load, read, read_map, write_hci, write_pfm
 from lfgpu.machine import device_name
 from lfgpu.methods import preset

@@ -11,8 +11,7 @@ from command_line import said
 from typer.testing import CliRunner
 
 import lfgpu
-from benchmarks import cli
-from benchmarks import confidence as benchmark
+from benchmarks import cli, confidence as benchmark
 from benchmarks.confidence import Sample, Weights
 from lfgpu import DepthResult, LightField, Reason, estimate_depth, reasons, scenes
 from lfgpu.data.filling import filled

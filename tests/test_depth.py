@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.methods import preset

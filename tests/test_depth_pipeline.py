@@ -10,8 +10,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.config import Config
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.methods import configured
 from lfgpu.methods.synthesis.config import SynthesisConfig

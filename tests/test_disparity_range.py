@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 from lfgpu import estimate_depth, read, scenes
 from lfgpu._backends import load
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import disparity_range
 

@@ -13,7 +13,7 @@ import pytest
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import Rectified, read_rectifier, write_rectified
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from tests.made import masked
 
 FOLDER = Path(__file__).parents[1] / "examples"

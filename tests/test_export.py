@@ -9,14 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu as run_command
-from command_line import refused, said
+from command_line import lfgpu as run_command, refused, said
 from lfgpu.kernels.warp import recording as exporting
 
 import lfgpu
 from lfgpu import Rectifier, scenes
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import write_hci
 from lfgpu.threads import get_threads
 

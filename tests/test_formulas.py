@@ -17,11 +17,8 @@ from lfgpu.calibration.rig import matched
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.tones import match_tones, squared_radius_at
 from lfgpu.contract import Device
+from lfgpu.data import DisparityMap, Geometry, LightField, ViewsResult
 from lfgpu.data.filling import fill_unknown
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
-from lfgpu.data.views_result import ViewsResult
 from lfgpu.io.lenslet.decode import _expected
 from lfgpu.io.lytro.contents import MicrolensArray
 from lfgpu.methods import preset

@@ -12,7 +12,7 @@ from scipy import ndimage
 
 import lfgpu
 from lfgpu import LightField, LightFieldError, scenes
-from lfgpu.data.geometry import Geometry
+from lfgpu.data import Geometry
 from lfgpu.data.layout import PATTERNS
 from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, window_mean, window_min
 from lfgpu.io import read, read_map

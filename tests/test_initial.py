@@ -11,7 +11,7 @@ from solver_runs import Found
 from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.sections import LocalConfig, PriorConfig

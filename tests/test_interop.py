@@ -11,8 +11,7 @@ import pytest
 
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField, interop
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.pipeline import DepthPipeline

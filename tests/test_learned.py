@@ -13,7 +13,7 @@ from command_line import lfgpu, refused
 from benchmarks.network import random_weights
 from lfgpu import DepthPipeline, DepthResult, DepthStream, LightField, _backends, estimate_depth, evaluate, load, scenes
 from lfgpu.contract import FOLD, Device
-from lfgpu.data.layout import ViewLayout
+from lfgpu.data import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
 from lfgpu.methods import PRESETS, configured

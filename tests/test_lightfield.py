@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.scenes import make
 

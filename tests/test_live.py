@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from command_line import Outcome, said
-from command_line import lfgpu as run_command
+from command_line import Outcome, lfgpu as run_command, said
 
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import load
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci
 from lfgpu.pipelines.sources import open_source, recorded

@@ -15,8 +15,7 @@ import pytest
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import BackendName, backend_named, list_backends
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, ViewsResult
 from lfgpu.machine import version_of
 from lfgpu.methods import PRESETS, PresetName
 from lfgpu.metrics import Sparsification, evaluate, sparsification

@@ -12,9 +12,7 @@ from lfgpu import scenes
 from lfgpu._backends import load
 from lfgpu.config import Config
 from lfgpu.contract import Device
-from lfgpu.data.layout import ViewLayout
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField, ViewLayout
 from lfgpu.methods import PRESETS, PresetName, method_of
 from lfgpu.methods.matching.config import SweepConfig
 from lfgpu.methods.matching.disparities import compared_disparities, compared_reach, view_sets

@@ -19,7 +19,7 @@ import lfgpu
 from benchmarks import figures, pages, sources
 from benchmarks.results import FOLDER
 from lfgpu import _backends
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult
 from lfgpu.methods import METHODS, PRESETS, method_of
 from lfgpu.pipelines.pipeline import DepthPipeline
 
@@ -191,7 +191,7 @@ def test_an_estimate_and_its_picture_load_neither_scipy_nor_matplotlib(tmp_path:
 def test_public_names_are_listed_and_there(tmp_path: Path) -> None:
     done = run_python("import lfgpu; print(all(getattr(lfgpu, name) is not None for name in lfgpu.__all__))", tmp_path)
     assert done.stdout.strip() == "True", done.stderr
-    assert set(re.findall(r"import (\w+) as \1", Path(lfgpu.__file__).read_text())) == set(lfgpu.__all__)
+    assert set(re.findall(r"\b(\w+) as \1\b", Path(lfgpu.__file__).read_text())) == set(lfgpu.__all__)
     assert dir(lfgpu) == sorted(lfgpu.__all__)
     with pytest.raises(AttributeError, match="no attribute 'nothing'"):
         _ = lfgpu.nothing

@@ -20,7 +20,7 @@ from benchmarks.results import Record, Run
 from lfgpu import scenes
 from lfgpu.calibration import Misalignment, disturb
 from lfgpu.calibration.parallel import ideal_cameras
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import write_hci
 from lfgpu.pipelines.stream import DepthStream
 

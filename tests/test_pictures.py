@@ -12,8 +12,7 @@ from walls import SIZE
 
 import lfgpu
 from lfgpu import LightField, scenes
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, Geometry
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
 from lfgpu.io.brightness import without_black_corners

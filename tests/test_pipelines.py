@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.estimate import estimate_depth
 from tests.made import masked

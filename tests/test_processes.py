@@ -16,7 +16,7 @@ from lfgpu.kernels.warp import asking as locks
 
 import lfgpu
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 
 pytestmark = pytest.mark.thorough
 

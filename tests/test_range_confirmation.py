@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 import lfgpu
 from lfgpu import DepthPipeline, DepthStream, estimate_depth, export_pipeline, scenes
 from lfgpu._backends import open_device
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.pipelines.range_confirmation import confirm

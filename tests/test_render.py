@@ -10,16 +10,13 @@ import numpy as np
 import pytest
 import tifffile
 from PIL import Image
-from walls import SIZE as WALL
-from walls import wall
+from walls import SIZE as WALL, wall
 
 import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import open_device
 from lfgpu.cameras.points import visible
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DisparityMap, LightField, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.frames import write_frames, write_image
 from lfgpu.methods import method_of

@@ -21,8 +21,7 @@ from lfgpu import ViewsResult, explain, scenes, write_report
 from lfgpu.cli.console import comparison, output
 from lfgpu.comparison import Scene, table
 from lfgpu.config import parameters
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import load, write_hci, write_pfm
 from lfgpu.machine import device_name

@@ -12,7 +12,7 @@ from PIL import Image
 
 from lfgpu import explain, scenes
 from lfgpu.comparison import Scene, table
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.reports.comparison import write_comparison
 from lfgpu.reports.report import Origin, write_report
 from lfgpu.viz.cards import scale_of

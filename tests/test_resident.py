@@ -15,8 +15,7 @@ from benchmarks import call
 from lfgpu import scenes
 from lfgpu._backends import load, open_device
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.matching import frame

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, Geometry
 from lfgpu.errors import LightFieldError
 from lfgpu.io import load, read_map, save
 from lfgpu.methods import PRESETS

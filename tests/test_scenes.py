@@ -8,7 +8,7 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.scenes import synthesis
 from lfgpu.scenes.lamps import Lamps, lit

@@ -10,7 +10,7 @@ from solver_runs import Found, Solver, assert_sentence, both
 
 from lfgpu import scenes
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods.prior import NonLocalMeans
 from lfgpu.methods.structure_tensor import LocalEstimator
 from lfgpu.methods.synthesis.config import SynthesisConfig

@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.cli import app, live
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import write_hci
 from lfgpu.io.ring import RingWriter
 from lfgpu.pipelines.sources import SOURCES, Options, feed, open_source, recorded

@@ -17,8 +17,7 @@ from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE
 from lfgpu.batch.work import Job, Settings, work
 from lfgpu.calibration import Misalignment, disturb
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.io import write_hci
 from lfgpu.methods import method_of, preset
 from lfgpu.viewer.solving import Request, Solver

@@ -9,8 +9,7 @@ import pytest
 from walls import SIZE, wall
 
 from lfgpu import scenes
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, Geometry
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map, write_hci, write_pfm
 from lfgpu.viewer import saving

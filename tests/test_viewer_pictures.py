@@ -5,8 +5,7 @@ import pytest
 from walls import SIZE, wall
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer import pictures
 from lfgpu.viewer.contents import Contents, Entry

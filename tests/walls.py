@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 
 SIZE = (24, 32)
 

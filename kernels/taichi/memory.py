@@ -15,8 +15,7 @@ from taichi.lang.util import to_numpy_type
 
 from lfgpu.errors import BackendError
 
-from .runtime import DeviceArray as DeviceArray
-from .runtime import alone, double, most_bytes, once, run, stages_arrays, start
+from .runtime import DeviceArray as DeviceArray, alone, double, most_bytes, once, run, stages_arrays, start
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels

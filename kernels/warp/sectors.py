@@ -9,8 +9,7 @@ import warp as wp
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
 from .cpu_plane_sweep import keep_views, kept_type, loading_kernels
-from .gpu_plane_sweep import kept_type as gpu_kept_type
-from .gpu_plane_sweep import pack_kernel
+from .gpu_plane_sweep import kept_type as gpu_kept_type, pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
 from .threads import check_size, flat, launch, launch_slices, once, with_wide_vectors

@@ -5,8 +5,6 @@ worker was the cause; so it is tried once more at the end, alone. Jobs that are 
 again when the scheduler is back.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 import math
@@ -19,7 +17,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from tempfile import TemporaryDirectory
 from types import TracebackType
-from typing import Any
+from typing import Any, Self
 
 from lfgpu.batch.manifest import FAILED
 from lfgpu.batch.work import Job, OutOfMemory, work
@@ -53,8 +51,7 @@ class _Task:
     alone: bool = False
     worker: str | None = None
     errors: list[str] = field(default_factory=list)
-    since: float = 0.0
-    """Time when it was given to a worker, or last seen to wait for one."""
+    since: float = 0.0  # time when it was given to a worker, or last seen to wait for one
 
 
 class Cluster:
@@ -91,7 +88,7 @@ class Cluster:
         self._running: dict[Any, _Task] = {}
         self._woken = threading.Event()
 
-    def __enter__(self) -> Cluster:
+    def __enter__(self) -> Self:
         import dask
         import distributed  # noqa: F401  # its defaults come first: with the settings, those after them would go
 

@@ -281,12 +281,8 @@ def _names(paths: Sequence[Path]) -> dict[Path, str]:
 def _parts(path: Path) -> list[str]:
     """Split an absolute path into parts without "..", which would lead out of the folder of outputs."""
     found = [printable(part) for part in Path(os.path.normpath(path)).parts if part != path.anchor]
-    return [f"_{part}" if _is_taken(part) else part for part in found] or ["root"]
-
-
-def _is_taken(part: str) -> bool:
-    """Tell whether a folder of outputs of that name would be taken for a file of the batch itself."""
-    return part in OWN or part.startswith(LEFT_OVER)
+    taken = [part in OWN or part.startswith(LEFT_OVER) for part in found]  # for files of the batch itself
+    return [f"_{part}" if is_taken else part for part, is_taken in zip(found, taken, strict=True)] or ["root"]
 
 
 def _comparable(name: str) -> str:

@@ -1,7 +1,5 @@
 """The manifest of a batch: a line of JSON for each outcome of an item; the last line of an item is valid."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os
@@ -9,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import IO, Any
+from typing import IO, Any, Self
 
 from lfgpu.batch.items import LOCK_FILE, MANIFEST_FILE, Item
 from lfgpu.config import Config
@@ -144,7 +142,7 @@ class Manifest:
         self.unwritten: list[bytes] = []
         """Lines that could not be written because the disk was full; they are tried again with the next one."""
 
-    def __enter__(self) -> Manifest:
+    def __enter__(self) -> Self:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             self._lock = self._lock_path.open("ab")

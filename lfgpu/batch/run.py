@@ -32,8 +32,7 @@ class Summary:
     computed: int = 0
     failed: list[Entry] = field(default_factory=list)
     seconds: float = 0.0
-    settings: Settings | None = None
-    """The settings of the estimates."""
+    settings: Settings | None = None  # the settings of the estimates
     damaged: int = 0  # number of damaged lines of the manifest, which were skipped
     todo: int = 0  # number of items of this run
     workers: int = 0

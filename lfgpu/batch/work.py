@@ -27,8 +27,7 @@ from lfgpu.methods.measured import Measured
 from lfgpu.printable import message, printable
 
 if TYPE_CHECKING:
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data import DepthResult, LightField
     from lfgpu.pipelines.resident import Resident
 
 _PREVIEW = 250_000  # pixels at most of the pictures for the page, such as 577 x 433
@@ -41,15 +40,12 @@ class Settings:
 
     config: Config
     disparity_range: tuple[float, float] | None = None
-    place: tuple[float, float] | None = None
-    """(row, column) of the reference view; None for the default of the reader."""
+    place: tuple[float, float] | None = None  # (row, column) of the reference view; None for the default of the reader
     pattern: str = "full"
-    reading: Mapping[str, Any] = field(default_factory=dict)
-    """Keywords of `lfgpu.read`."""
+    reading: Mapping[str, Any] = field(default_factory=dict)  # keywords of `lfgpu.read`
     backend: BackendName = DEFAULT
     deterministic: bool = False
-    report: bool = False
-    """Write a report of each item; results do not depend on it."""
+    report: bool = False  # write a report of each item; results do not depend on it
     command: str = ""  # the command line, for the reports
 
     @property

@@ -14,11 +14,7 @@ from lfgpu.calibration.formats.colmap import write_colmap, write_depth
 from lfgpu.calibration.formats.nerfstudio import write_nerfstudio
 from lfgpu.calibration.parallel import ideal_cameras, world_of
 from lfgpu.contract import Float32Array
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.points import point_cloud
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, Geometry, LightField, ViewsResult, point_cloud
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable
 from lfgpu.io.ply import write_vertices

@@ -4,9 +4,8 @@
 and have other focal lengths, lenses and sensors. Everything follows from a seed.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
+from typing import Self
 
 import numpy as np
 
@@ -15,8 +14,8 @@ from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import pixels
 from lfgpu.cameras.tones import squared_radius_at
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data import LightField
 from lfgpu.data.light_field_checks import check_number
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
 
@@ -39,7 +38,7 @@ class Misalignment:
             check_number(f"misalignment: {field.name}", getattr(self, field.name), 0, 1e3)
 
     @classmethod
-    def parse(cls, text: str) -> Misalignment:
+    def parse(cls, text: str) -> Self:
         """Parse a text such as "shift=1,gain=0.1"; LightFieldError if a name is unknown or a number is none."""
         known = [field.name for field in fields(cls)]
         found: dict[str, float] = {}

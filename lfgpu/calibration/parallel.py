@@ -8,8 +8,7 @@ import numpy as np
 
 from lfgpu.calibration.cameras import Camera
 from lfgpu.contract import Float64Array
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import Geometry, LightField
 from lfgpu.errors import LightFieldError
 
 

@@ -15,8 +15,7 @@ from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig
 from lfgpu.cameras.tones import Tones, squared_radius_at
 from lfgpu.contract import Float64Array
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import Geometry, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.numpy_file import load_arrays

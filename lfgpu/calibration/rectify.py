@@ -16,9 +16,8 @@ from lfgpu.calibration.refine import Refinement, equalise, refine
 from lfgpu.calibration.resample import pixels, through
 from lfgpu.calibration.rig import Rig, fit_rig, matched, told_by_order
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data import DepthResult, DisparityMap, LightField
 from lfgpu.data.geometry import UNITS
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.contradictions import contradictions

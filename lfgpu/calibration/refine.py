@@ -24,8 +24,7 @@ from lfgpu.cameras.looking import measured_tones
 from lfgpu.cameras.points import choose_points
 from lfgpu.cameras.tones import Tones
 from lfgpu.contract import Device, Float32Array, Float64Array
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.estimate import estimate_depth
 

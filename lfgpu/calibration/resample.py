@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract import Float32Array, Float64Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.threads import in_threads
 
 _CUBIC = 3

@@ -15,8 +15,8 @@ import numpy as np
 from lfgpu.calibration.cameras import Camera
 from lfgpu.calibration.resample import pixels, resampled, through
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data import LightField
 from lfgpu.data.geometry import Geometry, usual_gap
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 
 _FLAT = 0.3  # of the extent in the plane: rms distance of cameras from it that is still a plane

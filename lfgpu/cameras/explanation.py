@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu import hooks
 from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.cameras.looking import FEWEST, Look, checked_map, look
 from lfgpu.cameras.points import known_pixels
 from lfgpu.contract import Device, Float32Array, Float64Array
-from lfgpu.data import hooks
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.io.contradictions import contradictions, no_parallax
 

@@ -16,14 +16,14 @@ def backends() -> None:
     backend_rows(
         output(),
         [
-            (f"{info.name} (default)" if info.name == DEFAULT else info.name, _installed(info), _runs_on(info))
+            (
+                f"{info.name} (default)" if info.name == DEFAULT else info.name,
+                f"{info.package} {info.version}" if info.version else f"{info.package}: not installed",
+                _runs_on(info),
+            )
             for info in describe_backends()
         ],
     )
-
-
-def _installed(info: BackendInfo) -> str:
-    return f"{info.package} {info.version}" if info.version else f"{info.package}: not installed"
 
 
 def _runs_on(info: BackendInfo) -> list[str]:

@@ -100,6 +100,7 @@ def batch(
     from lfgpu.cli.console import output, waiting
     from lfgpu.cli.failures import command_line, is_interruption
     from lfgpu.io import check_writable
+    from lfgpu.threads import get_threads
 
     check_writable(out)
     how = Settings(
@@ -118,7 +119,8 @@ def batch(
     if scheduler is None:
         devices = devices_of(computing.backend, device)
         count = workers or len(devices)
-        cluster = Cluster(workers=count, devices=devices, threads=threads or _share_of_cores(count), **lasting)
+        share = threads or max(1, get_threads() // count)
+        cluster = Cluster(workers=count, devices=devices, threads=share, **lasting)
     else:
         if workers is not None:
             raise LightFieldError(
@@ -168,12 +170,6 @@ def devices_of(backend: str, device: str | None) -> tuple[str, ...]:
     kernels = load(backend)
     best = pick_device(kernels, device)
     return (best,) if device is not None else alike(kernels, best)
-
-
-def _share_of_cores(workers: int) -> int:
-    from lfgpu.threads import get_threads
-
-    return max(1, get_threads() // workers)
 
 
 def _said(summary: Summary) -> str:

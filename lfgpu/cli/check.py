@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.cameras import Explanation
-    from lfgpu.data.lightfield import LightField
+    from lfgpu.data import LightField
 
 
 def check(

@@ -2,8 +2,6 @@
 self-test.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import multiprocessing
@@ -23,8 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendInfo, BackendName, backend_named, describe_backends, load
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LfgpuError
 from lfgpu.io import read, read_map, save, write_hci
 from lfgpu.io.damage import how_to_install, physical_memory
@@ -145,8 +142,7 @@ class Trial:
 
     what: str
     seconds: float
-    from_truth: float | None = None
-    """Median distance of the map from the ground truth, px per view step."""
+    from_truth: float | None = None  # median distance of the map from the ground truth, px per view step
     from_reference: float | None = None
     """Median distance of the map from that of the reference backend, px per view step."""
     problem: str | None = None

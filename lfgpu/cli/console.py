@@ -27,11 +27,7 @@ Progress = Callable[[str, int, float], None]
 
 _LABELS = 13  # characters: the width of labels, so that several blocks are aligned
 _NARROWEST = 100  # columns at least where the output is not a terminal
-_RUNNERS = {
-    "keys": "key views",
-    "join": "all views",
-    "tiles": "tiles",
-}  # stages of pipelines, beside those of the method
+_RUNNERS = {"keys": "key views", "join": "all views", "tiles": "tiles"}  # stages of pipelines, beside the method's
 _SHARE = "share"  # the value that these report
 
 
@@ -168,12 +164,12 @@ def waiting(text: str = "", *, quiet: bool = False, counts: bool = False) -> Ite
     from rich.progress import (
         BarColumn,
         MofNCompleteColumn,
+        Progress as Display,
         SpinnerColumn,
         TextColumn,
         TimeElapsedColumn,
         TimeRemainingColumn,
     )
-    from rich.progress import Progress as Display
 
     console = Console(stderr=True, highlight=False, markup=False)
     console.quiet = quiet or not console.is_terminal  # rich 13 ends a display that is disabled with an empty line

@@ -32,7 +32,7 @@ def convert(
     ] = None,
 ) -> None:
     """Write a disparity map in another format, or as a point cloud, with its metadata."""
-    from lfgpu.data.views_result import ViewsResult
+    from lfgpu.data import ViewsResult
     from lfgpu.io import check_writable, load, one_map, read, save, writable_format
 
     check_writable(out, folder=False)

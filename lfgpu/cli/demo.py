@@ -10,8 +10,7 @@ import typer
 from lfgpu.cli.options import OutFolder, Threads
 
 if TYPE_CHECKING:
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data import DepthResult, LightField
     from lfgpu.metrics import Metrics
 
 GRID, SIZE = (7, 7), (288, 384)

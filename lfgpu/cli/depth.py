@@ -26,8 +26,7 @@ if TYPE_CHECKING:
 
     from lfgpu.cameras import Explanation
     from lfgpu.cli.options import Estimation
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data import DepthResult, LightField
 
 _JUDGED = 40_000_000  # pixels of all views: of larger light fields a report does not say how well they are predicted
 

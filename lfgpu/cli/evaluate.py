@@ -1,7 +1,5 @@
 """`lfgpu eval`: the error of a disparity map against ground truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

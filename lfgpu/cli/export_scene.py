@@ -1,7 +1,5 @@
 """`lfgpu export-scene`: a light field with its depth for COLMAP, nerfstudio and Gaussian splatting."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

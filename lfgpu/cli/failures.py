@@ -100,14 +100,12 @@ def _sentence(error: BaseException) -> str | None:
         return _MEMORY
     if isinstance(error, OSError):
         # A reader such as `head` that closes the pipe is no error: typer ends quietly.
-        return None if error.errno == errno.EPIPE else _of_system(error)
+        if error.errno == errno.EPIPE:
+            return None
+        reason = error.strerror or str(error) or type(error).__name__
+        return f"{error.filename}: {reason}." if error.filename else f"{reason}."
     if "Failed to allocate" in str(error):  # the message of Warp
         return _DEVICE_MEMORY
     if "CUDA error" in str(error):
         return f"the GPU failed ({str(error).rstrip('.')}); run the command again, or with --device cpu."
     return None
-
-
-def _of_system(error: OSError) -> str:
-    reason = error.strerror or str(error) or type(error).__name__
-    return f"{error.filename}: {reason}." if error.filename else f"{reason}."

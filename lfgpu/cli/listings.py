@@ -70,16 +70,11 @@ def _presets() -> str:
     return "; ".join(f"{name}: {entry.labels[name]}" for entry in METHODS.values() for name in entry.presets)
 
 
-def _live_presets() -> str:
+def _presets_that(fact: str) -> str:
+    """List the presets whose method has a fact, such as "is_live"."""
     from lfgpu.methods import PRESETS, method_of
 
-    return ", ".join(name for name in PRESETS if method_of(name).is_live)
-
-
-def _recordable_presets() -> str:
-    from lfgpu.methods import PRESETS, method_of
-
-    return ", ".join(name for name in PRESETS if method_of(name).is_recordable)
+    return ", ".join(name for name in PRESETS if getattr(method_of(name), fact))
 
 
 def _sources() -> str:
@@ -102,8 +97,8 @@ def _backends() -> str:
 
 _LISTS: dict[str, Callable[[], str]] = {
     "{presets}": _presets,
-    "{live presets}": _live_presets,
-    "{recordable presets}": _recordable_presets,
+    "{live presets}": lambda: _presets_that("is_live"),
+    "{recordable presets}": lambda: _presets_that("is_recordable"),
     "{formats}": _formats,
     "{sources}": _sources,
     "{backends}": _backends,

@@ -21,7 +21,7 @@ from lfgpu.threads import on_signal
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
-    from lfgpu.data.lightfield import LightField
+    from lfgpu.data import LightField
     from lfgpu.pipelines.sources import Frames
     from lfgpu.pipelines.stream import DepthStream
     from lfgpu.pipelines.stream_result import StreamResult

@@ -20,9 +20,7 @@ from lfgpu.cli import values
 
 if TYPE_CHECKING:
     from lfgpu.config import Config
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
-    from lfgpu.data.views_result import ViewsResult
+    from lfgpu.data import DepthResult, LightField, ViewsResult
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE, VIEWS
 
 if TYPE_CHECKING:
     from lfgpu.contract import Float32Array
-    from lfgpu.data.result import DepthResult
-    from lfgpu.data.views_result import ViewsResult
+    from lfgpu.data import DepthResult, ViewsResult
 
 PICTURE_FILE, CONFIDENCE_FILE = "disparity.png", "confidence.png"
 

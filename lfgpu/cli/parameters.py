@@ -35,8 +35,7 @@ def parameters(preset: Preset = "surest") -> None:
     gets a table. A pipe gets one line for each parameter, with tabs between these five.
     """
     from lfgpu.cli.console import output
-    from lfgpu.methods import METHODS
-    from lfgpu.methods import preset as preset_of
+    from lfgpu.methods import METHODS, preset as preset_of
 
     config = preset_of(preset)
     console = output()

@@ -109,8 +109,7 @@ def rectify(
 
 def _show(console: Console, result: Rectified, out: Path, *, points: bool) -> None:
     from lfgpu.calibration.rectify import DEPTH_FILE, POINTS_FILE
-    from lfgpu.cli import console as shown
-    from lfgpu.cli import summary
+    from lfgpu.cli import console as shown, summary
     from lfgpu.reports import facts
 
     lf, rig, found = result.light_field, result.rig, result.refinement

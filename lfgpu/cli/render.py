@@ -1,7 +1,5 @@
 """`lfgpu render`: new views, refocused and all-in-focus images, and videos of them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """The pictures and films that `lfgpu render` writes."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -12,9 +10,7 @@ import typer
 
 from lfgpu.cli.options import Estimation
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, LightField, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import VIEWS_FILE, load, one_map
 from lfgpu.viz.refocusing import all_in_focus, refocus
@@ -55,7 +51,7 @@ class Rendering:
             middle, reach = (far + near) / 2, (near - far) / 2
             yield from (refocus(self.lf, float(middle - reach * math.cos(turn))) for turn in turns)
             return
-        render = self._renderer()
+        render = Renderer(self.lf, self._maps(), backend=self.estimation.backend, device=self.estimation.device)
         low, high = self.lf.positions.min(axis=0), self.lf.positions.max(axis=0)
         centre, (u, v) = (low + high) / 2, _REACH * (high - low) / 2
         for turn in turns:
@@ -63,9 +59,6 @@ class Rendering:
             column = centre[0] + (0 if sweep == "down" else u * across)
             row = centre[1] + (0 if sweep == "across" else v * math.sin(turn))
             yield render(float(row), float(column)).image
-
-    def _renderer(self) -> Renderer:
-        return Renderer(self.lf, self._maps(), backend=self.estimation.backend, device=self.estimation.device)
 
     def _maps(self) -> ViewsResult:
         """Read the maps of all views, or estimate them."""

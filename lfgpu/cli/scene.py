@@ -15,7 +15,7 @@ from lfgpu.printable import printable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from lfgpu.data.lightfield import LightField
+    from lfgpu.data import LightField
 
 _FRAME = "frame_"
 

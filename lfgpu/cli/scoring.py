@@ -1,7 +1,5 @@
 """Work of `lfgpu eval`: scores of a map, comparisons of methods and of batches, submissions to the benchmark."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +13,8 @@ from lfgpu.cli import console as shown
 from lfgpu.cli.console import comparison, output, region_scores, remark, scores
 from lfgpu.cli.summary import scored_where, show_outputs
 from lfgpu.comparison import Scene, Table, table, table_of
-from lfgpu.data.lightfield import GroundTruth, LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, GroundTruth, LightField, ViewsResult
 from lfgpu.data.summary import view_at
-from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
     MAP_FORMATS,

@@ -18,8 +18,7 @@ from lfgpu.reports import facts
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from lfgpu.data.lightfield import LightField
-    from lfgpu.data.result import DepthResult
+    from lfgpu.data import DepthResult, LightField
     from lfgpu.metrics import Metrics
 
 

@@ -1,10 +1,8 @@
 """The layout of views: where their cameras stand and how they are stored, without their pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,8 +48,7 @@ class ViewLayout:
 
     @property
     def farthest(self) -> float:
-        """Return the largest distance of views at `offsets` [n, 2] from the reference view, along u or v, in view
-        steps."""
+        """The largest distance of a view from the reference view, along u or v, in view steps."""
         return farthest(self.offsets)
 
     def row(self) -> NDArray[np.intp]:
@@ -95,7 +92,7 @@ class ViewLayout:
             )
         return np.flatnonzero(keep)
 
-    def subset(self, which: str | Sequence[int] | NDArray[Any]) -> ViewLayout:
+    def subset(self, which: str | Sequence[int] | NDArray[Any]) -> Self:
         """Return the layout of some of the views; parameters and errors are those of `chosen`."""
         kept = self.chosen(which)
         if len(kept) == self.count:
@@ -107,7 +104,7 @@ class ViewLayout:
             masks=None if self.masks is None else tuple(self.masks[index] for index in kept),
         )
 
-    def crop(self, y: slice, x: slice) -> ViewLayout:
+    def crop(self, y: slice, x: slice) -> Self:
         """Return the layout of a window of all views, with bounds inside of them."""
         masks = None if self.masks is None else tuple(mask[y, x] for mask in self.masks)
         return replace(self, size=(y.stop - y.start, x.stop - x.start), masks=masks)

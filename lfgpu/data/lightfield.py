@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data import hooks, summary
+from lfgpu import hooks
+from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.light_field_checks import (

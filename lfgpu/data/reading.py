@@ -1,7 +1,5 @@
 """Decisions of a reader about the files of a light field, with their reasons."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 
@@ -43,7 +41,5 @@ NOTHING = Reading()
 class Inside:
     """Facts about a file that no light field has a place for."""
 
-    facts: tuple[tuple[str, str], ...]
-    """(label, text) each, in the order of importance."""
-    no_depth: str | None = None
-    """A sentence that says why there is no light field in it; None if there is one."""
+    facts: tuple[tuple[str, str], ...]  # (label, text) each, in the order of importance
+    no_depth: str | None = None  # a sentence that says why there is no light field in it; None if there is one

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu import hooks
 from lfgpu.config import Config
 from lfgpu.contract import Float32Array
-from lfgpu.data import hooks, summary
+from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
 
 

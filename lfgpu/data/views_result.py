@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu import hooks
 from lfgpu.contract import Float32Array
-from lfgpu.data import hooks, summary
+from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError

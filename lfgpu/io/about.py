@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, Geometry
 from lfgpu.errors import LightFieldError
 from lfgpu.machine import version_of
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.damage import naming
 from lfgpu.io.exr import channel, read_channels

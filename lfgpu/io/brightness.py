@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.data.mapping import each_view
 from lfgpu.io.arrays import without_dark_views
 from lfgpu.io.damage import naming

@@ -6,7 +6,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.data.windows import mean_of_channels
 from lfgpu.io.flips import ORDERS, reordered

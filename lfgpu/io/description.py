@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write, check_writable
 from lfgpu.io.damage import naming, read_as

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
 from lfgpu.io.damage import check_claim, check_fetched, read_as, require

@@ -11,10 +11,9 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any
 
+from lfgpu.data import Inside, LightField
 from lfgpu.data.light_field_checks import check_whole
-from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
-from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
     blender,
@@ -48,10 +47,8 @@ from lfgpu.io.taken import check_unit, in_unit, told
 class Format:
     """One entry of the table."""
 
-    name: str
-    """The word by which users choose it: lower case, hyphens."""
-    description: str
-    """One line for lists and help, without a full stop."""
+    name: str  # the word by which users choose it: lower case, hyphens
+    description: str  # one line for lists and help, without a full stop
     recognise: Callable[[Path], str | None]
     """Says why a path that exists is of this format ("it is a folder with ..."), or None. Looks at names and magic,
     and at what is in a file only where a quick look can be sure."""
@@ -59,14 +56,11 @@ class Format:
     """Reads a path that exists, given the keywords in `takes` that users gave. Raises LightFieldError with a sentence
     that names the file at fault: if it is missing, damaged, of another kind, claims more than it can hold, contradicts
     others, or needs a library that is not there."""
-    extra: str | None = None
-    """The extra of the package that (some files of) the format needs."""
-    takes: tuple[str, ...] = ()
-    """The keywords of `lfgpu.read` that have a meaning for it, "allow_missing" among them."""
+    extra: str | None = None  # the extra of the package that (some files of) the format needs
+    takes: tuple[str, ...] = ()  # the keywords of `lfgpu.read` that have a meaning for it, "allow_missing" among them
     inside: Callable[[Path], Inside] | None = None
     """Describes what its files hold beside views; None where that is nothing."""
-    looks_below: bool = False
-    """True if a folder is of this format where only one of its sub-folders has the views."""
+    looks_below: bool = False  # true if a folder is of this format where only one of its sub-folders has the views
 
 
 _MISSING = "allow_missing"

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, check_no_others
 from lfgpu.io.damage import check_fetched, naming

@@ -1,7 +1,5 @@
 """HDF5 files by way of the optional h5py: opened for reading only, sizes judged first, nothing outside the file."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

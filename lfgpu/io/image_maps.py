@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from PIL.PngImagePlugin import PngInfo
 
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow, tiff_stack
 from lfgpu.io.about import DAMAGE, KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, LightField, ViewsResult
 from lfgpu.data.summary import UNIT
-from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import CONVENTION
 from lfgpu.io.damage import require
@@ -19,7 +17,7 @@ if TYPE_CHECKING:
     import xarray
     from numpy.typing import NDArray
 
-    from lfgpu.data.geometry import Geometry
+    from lfgpu.data import Geometry
 
 _STEPS = {"units": "view steps"}
 _COLOURS = {1: ["grey"], 3: ["red", "green", "blue"]}

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Reading
+from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import hdf5, matlab5
 from lfgpu.io.arrays import arranged, grid_field

@@ -1,18 +1,16 @@
 """The maps that `lfgpu live -o` keeps: a file for each frame, and a log that says which frame each map is of."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import DAMAGE
 from lfgpu.io.folders import not_waited_for
@@ -56,7 +54,7 @@ class LiveMaps:
     """Of each frame: its number, the fingerprint of its reference view, and if it has a map."""
 
     @classmethod
-    def of(cls, path: Path) -> LiveMaps:
+    def of(cls, path: Path) -> Self:
         """Find the maps in a folder; LightFieldError if the log does not say which frames they are of."""
         log = path / LOG
         not_waited_for(log)

@@ -16,8 +16,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import exr, image_maps, pfm, ply, results
 from lfgpu.io.atomic import atomic_write
@@ -44,10 +43,8 @@ OneMap: TypeAlias = DepthResult | DisparityMap
 class MapFormat:
     """One entry of the table."""
 
-    suffixes: tuple[str, ...]
-    """Lower case, with the dot; the first is the usual one."""
-    description: str
-    """One line for lists and help, without a full stop."""
+    suffixes: tuple[str, ...]  # lower case, with the dot; the first is the usual one
+    description: str  # one line for lists and help, without a full stop
     read: Callable[[Path], DisparityMap] | None = None
     """Reads a map, with all that the file says about it, or raises OSError or LightFieldError; None if it is only
     written."""
@@ -59,10 +56,8 @@ class MapFormat:
     """Writes such a result to a path; None if the format holds maps only."""
     recognise: Callable[[Path], bool] | None = None
     """Tells maps from light fields with the same suffix; None if the suffix says it."""
-    library: str | None = None
-    """The library that it needs besides those of the package."""
-    extra: str | None = None
-    """The extra of the package that brings it."""
+    library: str | None = None  # the library that it needs besides those of the package
+    extra: str | None = None  # the extra of the package that brings it
 
     @property
     def is_available(self) -> bool:

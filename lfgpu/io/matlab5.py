@@ -5,8 +5,6 @@ is in "MAT-File Format" by The MathWorks: a header of 128 bytes, then elements, 
 its data; a variable is an element that holds others (flags, shape, name, numbers), all of it packed by zlib as a rule.
 """
 
-from __future__ import annotations
-
 import struct
 import zlib
 from collections.abc import Callable, Iterator
@@ -43,8 +41,7 @@ class Variable:
 
     name: str
     shape: tuple[int, ...]
-    kind: str
-    """The class in words of MATLAB: "uint8", "double" ...; or what else it is."""
+    kind: str  # the class in words of MATLAB: "uint8", "double" ...; or what else it is
     position: int
 
 

@@ -58,8 +58,7 @@ class Number:
 
     meaning: str
     why: str
-    values: tuple[int, ...]
-    """Of each picture."""
+    values: tuple[int, ...]  # of each picture
 
     @property
     def varies(self) -> bool:

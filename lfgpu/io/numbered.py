@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax
 from lfgpu.io.arrays import grid_shape
@@ -43,8 +43,7 @@ class _Found:
     folder: Path
     naming: Naming
     left_out: tuple[Path, ...]
-    rival: Path | None
-    """One of the pictures that may as well be the views."""
+    rival: Path | None  # one of the pictures that may as well be the views
     alike: bool = False  # true if these have the same numbers: words may name cameras, and numbers times
 
 
@@ -235,7 +234,8 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing
         return naming, []
     wanted, every = times[frame or 0], set(naming.places)
     kept = [k for k, time in enumerate(values(naming.of(TIME))) if time == wanted]
-    naming = _part(naming, kept)
+    numbers = tuple(replace(number, values=tuple(number.values[k] for k in kept)) for number in naming.numbers)
+    naming = Naming(tuple(naming.names[k] for k in kept), numbers)
     places, cameras = set(naming.places), len(every)
     if len(places) < cameras and not allow_missing:
         raise LightFieldError(
@@ -247,11 +247,6 @@ def _at_one_time(path: Path, naming: Naming, frame: int | None, *, allow_missing
         f"There are {cameras} cameras and {len(times)} times; this is time {frame or 0} ({naming.files[0].name} "
         "...): take another with frame=1 (--frame 1 on the command line), or all with lfgpu batch or lfgpu live."
     ]
-
-
-def _part(naming: Naming, kept: Sequence[int]) -> Naming:
-    numbers = tuple(replace(number, values=tuple(number.values[k] for k in kept)) for number in naming.numbers)
-    return Naming(tuple(naming.names[k] for k in kept), numbers)
 
 
 # --- rows and columns ---

@@ -9,9 +9,8 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField, Reading
 from lfgpu.data.mapping import mapped
-from lfgpu.data.reading import Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, field_of, grid_field, storable
 from lfgpu.io.damage import check_claim, check_memory, read_as

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.data.windows import mean_of_channels
 from lfgpu.errors import LightFieldError
 from lfgpu.io.flips import ORDERS, places_in

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.points import point_cloud
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, point_cloud
 from lfgpu.io.about import KEY, map_about
 
 _NAMES = {"u1": "uchar", "i4": "int", "f4": "float"}

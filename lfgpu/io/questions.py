@@ -1,7 +1,5 @@
 """Questions about numbers in names of pictures: sentences with the options that answer them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from lfgpu.io import parallax

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from lfgpu.config import as_dict, restored
 from lfgpu.contract import Float32Array
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io.about import (
     CONVENTION,

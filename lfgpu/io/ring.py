@@ -5,8 +5,6 @@ sequence number, which is odd while a frame is being written, and a reader takes
 frame stands there before and after its copy. docs/live.md has the layout, `lfgpu/native/lfgpu_ring.h` a producer in C.
 """
 
-from __future__ import annotations
-
 import math
 import mmap
 import os
@@ -19,12 +17,12 @@ from contextlib import suppress
 from dataclasses import dataclass
 from io import FileIO
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.folders import not_waited_for
 
@@ -222,7 +220,7 @@ class RingWriter:
         del self._slots, self._newest  # the mapping stays as long as somebody holds views of it
         self._file.close()
 
-    def __enter__(self) -> RingWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -369,7 +367,7 @@ class RingReader:
         """Close the file. May be called more than once."""
         self._file.close()
 
-    def __enter__(self) -> RingReader:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

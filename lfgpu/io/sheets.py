@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Reading
+from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import ASK_FOR_GRID, grid_field
 from lfgpu.io.brightness import without_dark_parts

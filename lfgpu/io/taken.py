@@ -2,8 +2,8 @@
 
 from dataclasses import replace
 
+from lfgpu.data import LightField
 from lfgpu.data.geometry import UNITS, Geometry
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.images import INVERTED, LINEAR, TURNED
 

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Reading
+from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
 from lfgpu.io.damage import check_claim, read_as, require

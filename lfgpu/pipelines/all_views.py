@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.config import Config
 from lfgpu.contract import Device, Float32Array, Float64Array
-from lfgpu.data.lightfield import LightField, check_light_field
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, LightField, ViewsResult, check_light_field
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import PresetName, configured, method_of
 from lfgpu.methods.measured import Measured

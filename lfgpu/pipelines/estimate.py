@@ -8,8 +8,7 @@ from typing import Any
 
 from lfgpu._backends import DEFAULT, BackendName
 from lfgpu.config import Config
-from lfgpu.data.lightfield import LightField, check_light_field
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField, check_light_field
 from lfgpu.methods import PresetName, configured
 from lfgpu.methods.footprint import TooLittleMemoryError, parse_memory
 from lfgpu.pipelines.pipeline import Progress

@@ -15,7 +15,7 @@ from typing import Any
 from lfgpu._backends import DEFAULT, BackendName, load, open_device
 from lfgpu.config import Config, as_dict
 from lfgpu.contract import Array, Recording
-from lfgpu.data.lightfield import LightField, check_light_field
+from lfgpu.data import LightField, check_light_field
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.io.about import CONVENTION
 from lfgpu.io.atomic import atomic_folder, check_writable

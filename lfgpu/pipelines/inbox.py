@@ -1,7 +1,5 @@
 """Queue of the frames of a stream, and its policies for frames that come too fast."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from collections.abc import Callable

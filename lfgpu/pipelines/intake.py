@@ -1,7 +1,5 @@
 """Intake of frames into a stream: they are checked, and copied to the memory where they wait for the device."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
@@ -10,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract.streaming import Slot, Transport
-from lfgpu.data import interop
+from lfgpu.data import LightField, interop
 from lfgpu.data.light_field_checks import check_scaled
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.threads import get_threads
 

@@ -6,6 +6,7 @@ import logging
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from time import perf_counter
 from typing import Any
 
@@ -14,15 +15,13 @@ import numpy as np
 from lfgpu._backends import DEFAULT, BackendName, open_device, package_of
 from lfgpu.config import Config
 from lfgpu.contract import Array, Float32Array
-from lfgpu.data import interop
+from lfgpu.data import DepthResult, LightField, check_light_field, interop
 from lfgpu.data.light_field_checks import check_scaled
-from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.mapping import is_mapped
-from lfgpu.data.result import DepthResult
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.machine import version_of
 from lfgpu.methods import PresetName, configured, method_of
-from lfgpu.methods.base import Callback, Plan, Work
+from lfgpu.methods.base import Plan, Work
 from lfgpu.methods.footprint import check_memory
 from lfgpu.methods.measured import Measured, checked_range
 from lfgpu.methods.recycling import KeepingDevice, RecyclingDevice
@@ -392,7 +391,7 @@ class DepthPipeline:
             if on_progress is not None:
                 on_progress(stage, 0, 0.0)
             with self._device.asking():
-                work(None if on_progress is None else _of_stage(on_progress, stage))
+                work(None if on_progress is None else partial(on_progress, stage))
             self.kernels.number(self._waited_for)
 
     def _rectify(self) -> None:
@@ -465,10 +464,6 @@ class DepthPipeline:
         start = perf_counter()
         yield
         self._timings[stage] = self._timings.get(stage, 0.0) + perf_counter() - start
-
-
-def _of_stage(on_progress: Progress, stage: str) -> Callback:
-    return lambda iteration, value: on_progress(stage, iteration, value)
 
 
 def measured_on(

@@ -4,14 +4,12 @@ Evidence for a range are pixels that match others at one disparity only. Surface
 have few such pixels; only a map of all pixels shows where they lie.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.layout import ViewLayout
+from lfgpu.data import ViewLayout
 from lfgpu.methods.disparity_range import largest_disparity
 from lfgpu.pipelines.verdict import MANY
 

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.contract import Array, Device, Float32Array, Float64Array
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import Geometry, LightField
 from lfgpu.errors import LightFieldError
 
 

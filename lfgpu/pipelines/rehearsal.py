@@ -1,14 +1,12 @@
 """Rehearsal of a method on a small part of the views: kernels are compiled and loaded before its clock starts."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.base import Method
 from lfgpu.methods.disparity_range import find_disparity_range
@@ -32,8 +30,7 @@ class Rehearsal:
         self, method: Method[Any], lf: LightField, device: Device, *, used: Sequence[int] | None = None
     ) -> None:
         self._method, self._device = method, device
-        (top, bottom), (left, right) = (_middle(side) for side in lf.size)
-        middle = lf.crop(slice(top, bottom), slice(left, right))
+        middle = lf.crop(*(slice(max(0, (side - _SIDE) // 2), min(side, (side + _SIDE) // 2)) for side in lf.size))
         self._lf = middle if used is None else middle.subset(used)
         views = lf.views.dtype.str, lf.channels, lf.valid is None, len(self._lf.views)
         self._kind = method.config, device, *views
@@ -77,8 +74,3 @@ class Rehearsal:
             before = len(_known)
             _known.add((part, *self._kind))
             return self._device.kernels.compiles and len(_known) > before
-
-
-def _middle(side: int) -> tuple[int, int]:
-    first = max(0, (side - _SIDE) // 2)
-    return first, min(side, first + _SIDE)

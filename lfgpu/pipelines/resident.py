@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.footprint import parse_memory
 from lfgpu.methods.measured import Measured

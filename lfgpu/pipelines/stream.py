@@ -21,8 +21,8 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.config import Config
 from lfgpu.contract import Float64Array
+from lfgpu.data import LightField
 from lfgpu.data.light_field_checks import check_number, check_positive
-from lfgpu.data.lightfield import LightField
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured

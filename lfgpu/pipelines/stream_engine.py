@@ -4,8 +4,6 @@ Levels go from one step of the alignment to all steps of the config. With a budg
 that fits, by the time that the device took for it before.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -17,7 +15,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import Array, Device, Float64Array
 from lfgpu.contract.streaming import Streaming
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods.base import Method
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior

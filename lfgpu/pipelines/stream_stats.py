@@ -1,7 +1,5 @@
 """Statistics of a stream: counts and times."""
 
-from __future__ import annotations
-
 import threading
 from collections import deque
 from time import perf_counter

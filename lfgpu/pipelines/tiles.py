@@ -6,8 +6,6 @@ are those of the whole light field. Small differences from an estimate in one pi
 matching begin at the edge of the tile, and the solvers of the synthesis end there.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 import queue
@@ -24,9 +22,8 @@ from numpy.typing import NDArray
 from lfgpu._backends import alike, open_device
 from lfgpu.config import Config
 from lfgpu.contract import REDUCTION, Float32Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import DepthResult, LightField
 from lfgpu.data.mapping import each_view, forget, is_mapped
-from lfgpu.data.result import DepthResult
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.base import Method

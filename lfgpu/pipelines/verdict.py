@@ -21,9 +21,9 @@ from lfgpu.cameras.looking import Look, checked_map, look, seen_views
 from lfgpu.cameras.trust import trusted
 from lfgpu.config import Config
 from lfgpu.contract import Device, Float32Array, Float64Array
+from lfgpu.data import DepthResult, LightField
 from lfgpu.data.layout import in_pattern
-from lfgpu.data.lightfield import LightField, check_light_field
-from lfgpu.data.result import DepthResult
+from lfgpu.data.lightfield import check_light_field
 from lfgpu.errors import LightFieldError
 from lfgpu.io.contradictions import no_parallax
 from lfgpu.methods import method_of

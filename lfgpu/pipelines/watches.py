@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, open_device
 from lfgpu.contract import Float32Array, Float64Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.pipelines.stream_result import StreamResult

@@ -1,7 +1,5 @@
 """Charts of a report, drawn by matplotlib and put into the page as SVG whose colours follow the page."""
 
-from __future__ import annotations
-
 import io
 import re
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The page of a comparison: scores and maps of several methods side by side."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

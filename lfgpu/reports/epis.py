@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.viz.cards import Card, Mark, drawn_card, number
 from lfgpu.viz.panels import rgb
 

@@ -12,8 +12,7 @@ if TYPE_CHECKING:
     from datetime import datetime
 
     from lfgpu.config import Config
-    from lfgpu.data.geometry import Geometry
-    from lfgpu.data.lightfield import LightField
+    from lfgpu.data import Geometry, LightField
 
 _NAMED = 8  # missing views that are named
 

@@ -7,9 +7,7 @@ import numpy as np
 from PIL import Image
 
 from lfgpu.cameras import Explanation
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, LightField, ViewsResult
 from lfgpu.reports import facts
 from lfgpu.reports.report import judged
 from lfgpu.viz.cards import Card, drawn_card, map_card, view_card

@@ -17,12 +17,10 @@ from numpy.typing import NDArray
 
 from lfgpu.cameras import Explanation
 from lfgpu.config import parameters, value_of
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.data.summary import UNIT, pixels, view_at
 from lfgpu.errors import LightFieldError
-from lfgpu.io import REPORT_FILE as REPORT_FILE
-from lfgpu.io import atomic_write
+from lfgpu.io import REPORT_FILE as REPORT_FILE, atomic_write
 from lfgpu.methods import method_of, nearest_preset
 from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
 from lfgpu.reports import charts, facts

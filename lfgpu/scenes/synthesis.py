@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from lfgpu.data.geometry import Geometry
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.data.light_field_checks import check_number, check_whole
-from lfgpu.data.lightfield import GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.scenes import render
 from lfgpu.scenes.catalogue import SCENES, Stage

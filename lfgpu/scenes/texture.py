@@ -1,8 +1,7 @@
 """Procedural textures: periodic tiles of band-limited patterns, sampled bilinearly."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import scipy.fft
@@ -22,7 +21,7 @@ class Texture:
     """Float32 [c, n, n] in [0, 1], `TEXELS_PER_PIXEL` a pixel, n a power of two; or one colour."""
     origin: tuple[float, float] = (0.0, 0.0)  # position (x, y) of the first texel of the tile, pixels
 
-    def moved(self, by: NDArray[np.float64]) -> Texture:
+    def moved(self, by: NDArray[np.float64]) -> Self:
         """Return the texture moved by (x, y) pixels."""
         return replace(self, origin=(self.origin[0] + float(by[0]), self.origin[1] + float(by[1])))
 

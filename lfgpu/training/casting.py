@@ -33,28 +33,17 @@ class Shape:
     kind: wp.int32
     mask: wp.int32
     seed: wp.int32
-    centre: wp.vec3f
-    """Place in the reference view, pixels, and disparity."""
-    axis: wp.vec2f
-    """Cosine and sine of the angle of its first side."""
-    size: wp.vec3f
-    """Half sides: pixels, pixels, disparity."""
-    slope: wp.vec2f
-    """Change of disparity with x and y."""
-    tilt: wp.vec2f
-    """Shear of its sides along the line of sight, per unit of disparity."""
-    roundness: wp.float32
-    """1 for ellipsoids, 0 for cylinders."""
-    period: wp.vec2f
-    """Distance of bars, leaves or holes, pixels."""
-    fill: wp.vec2f
-    """Share of a period that is solid."""
-    relief: wp.float32
-    """Height of waves on a sheet, disparity."""
-    waves: wp.mat33f
-    """Three of these waves, a row each: radians per pixel in x and in y, and the phase."""
-    reach: wp.vec3f
-    """Bounds around the centre: half the width and height in pixels, and half the disparities."""
+    centre: wp.vec3f  # place in the reference view, pixels, and disparity
+    axis: wp.vec2f  # cosine and sine of the angle of its first side
+    size: wp.vec3f  # half sides: pixels, pixels, disparity
+    slope: wp.vec2f  # change of disparity with x and y
+    tilt: wp.vec2f  # shear of its sides along the line of sight, per unit of disparity
+    roundness: wp.float32  # 1 for ellipsoids, 0 for cylinders
+    period: wp.vec2f  # distance of bars, leaves or holes, pixels
+    fill: wp.vec2f  # share of a period that is solid
+    relief: wp.float32  # height of waves on a sheet, disparity
+    waves: wp.mat33f  # three of these waves, a row each: radians per pixel in x and in y, and the phase
+    reach: wp.vec3f  # bounds around the centre: half the width and height in pixels, and half the disparities
 
 
 @wp.struct
@@ -64,57 +53,38 @@ class Look:
     colour: wp.vec3f
     second: wp.vec3f
     texture: wp.int32
-    frame: wp.vec4f
-    """Cosine and sine of the angle of the texture times its scale, and its place."""
+    frame: wp.vec4f  # cosine and sine of the angle of the texture times its scale, and its place
     contrast: wp.float32
     pattern: wp.int32
-    cell: wp.vec2f
-    """Sides of a cell of the pattern, pixels."""
-    strength: wp.float32
-    """Of the pattern."""
-    shading: wp.vec2f
-    """Change of light across the primitive."""
-    gloss: wp.float32
-    """Strength of a highlight, which moves over the surface by `drift` pixels in the farthest view."""
-    spot: wp.vec3f
-    """Place of the highlight relative to the centre and its radius, pixels."""
+    cell: wp.vec2f  # sides of a cell of the pattern, pixels
+    strength: wp.float32  # of the pattern
+    shading: wp.vec2f  # change of light across the primitive
+    gloss: wp.float32  # strength of a highlight, which moves over the surface by `drift` pixels in the farthest view
+    spot: wp.vec3f  # place of the highlight relative to the centre and its radius, pixels
     drift: wp.vec2f
-    mirror: wp.float32
-    """Share of the light that is mirrored from a texture at the disparity `mirrored`."""
+    mirror: wp.float32  # share of the light that is mirrored from a texture at the disparity `mirrored`
     mirrored: wp.float32
-    glow: wp.float32
-    """Light of its own."""
+    glow: wp.float32  # light of its own
 
 
 @wp.struct
 class Light:
     """The light and the cameras of a scene."""
 
-    direction: wp.vec3f
-    """Towards the lamp, in disparity space: pixels, pixels, disparity."""
-    radius: wp.float32
-    """Of the lamp, as a share of the direction: soft shadows."""
-    shadow: wp.float32
-    """Share of the light that a shadow takes."""
-    haze: wp.float32
-    """Strength of large smooth shadows from outside of the picture."""
+    direction: wp.vec3f  # towards the lamp, in disparity space: pixels, pixels, disparity
+    radius: wp.float32  # of the lamp, as a share of the direction: soft shadows
+    shadow: wp.float32  # share of the light that a shadow takes
+    haze: wp.float32  # strength of large smooth shadows from outside of the picture
     haze_scale: wp.float32
     exposure: wp.float32
-    pixel: wp.float32
-    """Side of the square that a pixel sees, in pixels."""
-    gamma: wp.float32
-    """Exponent from linear light to intensity is 1 / gamma."""
-    vignetting: wp.float32
-    """Loss of light in the corners."""
-    aperture: wp.float32
-    """Half side of the lens, relative to the distance of the farthest view."""
-    focus: wp.float32
-    """Disparity that is sharp."""
+    pixel: wp.float32  # side of the square that a pixel sees, in pixels
+    gamma: wp.float32  # exponent from linear light to intensity is 1 / gamma
+    vignetting: wp.float32  # loss of light in the corners
+    aperture: wp.float32  # half side of the lens, relative to the distance of the farthest view
+    focus: wp.float32  # disparity that is sharp
     read: wp.float32
-    shot: wp.float32
-    """Noise: sqrt(read^2 + shot^2 intensity)."""
-    levels: wp.float32
-    """The largest code of the camera."""
+    shot: wp.float32  # noise: sqrt(read^2 + shot^2 intensity)
+    levels: wp.float32  # the largest code of the camera
 
 
 @wp.func

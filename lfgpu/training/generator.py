@@ -25,12 +25,9 @@ class Batch:
 
     views: torch.Tensor
     """float32 [b, n, y, x, 3], sorted by sector, `margin` pixels larger than the reference on each side."""
-    reference: torch.Tensor
-    """float32 [b, y, x, 3]."""
-    truth: torch.Tensor
-    """float32 [b, y, x], pixels in the farthest view."""
-    offsets: Float64Array
-    """[n, 2], relative to the farthest view."""
+    reference: torch.Tensor  # float32 [b, y, x, 3]
+    truth: torch.Tensor  # float32 [b, y, x], pixels in the farthest view
+    offsets: Float64Array  # [n, 2], relative to the farthest view
     starts: list[int]
     margin: int
 

@@ -1,7 +1,5 @@
 """Rigs: the cameras of light fields as the generator draws others like them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +10,7 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import open_device
 from lfgpu.contract import Float64Array
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods import method_of
 from lfgpu.methods.matching.noise import measured_grain
 from lfgpu.pipelines.pipeline import measured_on

@@ -5,8 +5,6 @@ range, and things in front of it: solids, pictures, leaves, nets, bars, rows of 
 in the Warp kernels says what the numbers mean.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Textures of generated scenes: coloured noise of many spectra, smooth, fine, streaked, or in two tones."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from lfgpu.contract import Float32Array

@@ -49,21 +49,14 @@ STATE_FILE, LOG_FILE = "state.pt", "log.jsonl"
 class Settings:
     """The numbers that, with the count of processes, decide what a run sees."""
 
-    steps: int
-    """Length of the whole schedule, over all pieces."""
-    scenes: int = 8
-    """Light fields of a step and process."""
-    side: int = 192
-    """Pixels of these, each way: a multiple of 32."""
-    rate: float = RATE
-    """Largest learning rate."""
+    steps: int  # length of the whole schedule, over all pieces
+    scenes: int = 8  # light fields of a step and process
+    side: int = 192  # pixels of these, each way: a multiple of 32
+    rate: float = RATE  # largest learning rate
     seed: int = 0
-    uses: int = 2
-    """Steps for which a batch is used, mirrored, transposed and recoloured."""
-    refresh: int = 1000
-    """Steps after which the textures are drawn anew and the state is written."""
-    unseen: int = 32
-    """Batches of a validation."""
+    uses: int = 2  # steps for which a batch is used, mirrored, transposed and recoloured
+    refresh: int = 1000  # steps after which the textures are drawn anew and the state is written
+    unseen: int = 32  # batches of a validation
 
 
 def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[str, Tensor]:
@@ -95,13 +88,10 @@ def losses(logits: Tensor, truth: Tensor, first: Tensor, steps: Tensor) -> dict[
 class Validation:
     """The result of a network on light fields that it never saw."""
 
-    errors: dict[str, float]
-    """Losses and errors, as `losses` names them."""
+    errors: dict[str, float]  # losses and errors, as `losses` names them
     share: Float64Array
-    spread: Float64Array
-    """The trust, as `fit_trust` gives it."""
-    shown: list[Scene]
-    """Some light fields with their maps."""
+    spread: Float64Array  # the trust, as `fit_trust` gives it
+    shown: list[Scene]  # some light fields with their maps
 
 
 def read_log(folder: Path) -> list[dict[str, Any]]:

@@ -1,7 +1,5 @@
 """Trust in a network: how often pixels of its maps are right, and how far off they are, from its distributions."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize

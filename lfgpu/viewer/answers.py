@@ -1,7 +1,5 @@
 """Answers to pages, as functions of the contents and the words of a request, without anything of the web."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import preset
 from lfgpu.viewer import pictures, probe, saving, solving
@@ -216,14 +214,6 @@ def _are_two_numbers(values: object) -> bool:
     return numbers and all(abs(value) <= LARGEST for value in values)
 
 
-def _stop(board: Board, _: Mapping[str, Any]) -> None:
-    board.solver.stop()
-
-
-def _switch(board: Board, wish: Mapping[str, Any]) -> None:
-    board.switch(str(wish.get("name")), bool(wish.get("on")))
-
-
 def _turn(board: Board, wish: Mapping[str, Any]) -> None:
     number = wish.get("frame")
     if not isinstance(number, int):
@@ -234,8 +224,8 @@ def _turn(board: Board, wish: Mapping[str, Any]) -> None:
 ACTIONS: dict[str, Callable[[Board, Mapping[str, Any]], None]] = {
     "open": _open,
     "estimate": _estimate,
-    "stop": _stop,
-    "switch": _switch,
+    "stop": lambda board, _: board.solver.stop(),
+    "switch": lambda board, wish: board.switch(str(wish.get("name")), bool(wish.get("on"))),
     "turn": _turn,
 }
 """Actions that pages ask for."""

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, LightField
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.reporting import heard_by
 from lfgpu.viewer.contents import LIVE, Contents, Entry, opened, opened_all
@@ -30,12 +29,9 @@ Switch = Callable[[bool], None]
 class Stream:
     """The facts about a stream; None is unknown."""
 
-    rate: float | None = None
-    """Frames per second."""
-    latency: float | None = None
-    """Seconds from a frame to its map."""
-    dropped: int | None = None
-    """Frames that were dropped so far."""
+    rate: float | None = None  # frames per second
+    latency: float | None = None  # seconds from a frame to its map
+    dropped: int | None = None  # frames that were dropped so far
     paused: bool = False
     recording: bool = False
 

@@ -1,15 +1,12 @@
 """The points of a disparity map as the page shows them: not too many, no outliers, and of a size that fits."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.points import point_cloud
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, point_cloud
 from lfgpu.errors import LightFieldError
 from lfgpu.viz.scales import scale_limits
 
@@ -28,18 +25,12 @@ class Cloud:
     points: NDArray[np.float32]
     """[p, 3], the metres of `lfgpu.point_cloud`; without a geometry the picture's longer side is 1 and its middle at
     (0, 0, 1), and z falls with the disparity."""
-    colours: NDArray[np.uint8]
-    """[p, 3]"""
-    pixels: NDArray[np.int64]
-    """[p, 2], (x, y) of each point in the reference view."""
-    spacing: float
-    """Distance of neighbouring points in the middle of the cloud."""
-    metric: bool
-    """True if the points are in metres."""
-    eye: NDArray[np.float64]
-    """[3], where the camera stands that sees the map."""
-    step: int
-    """Every so many rows and columns of the map have points."""
+    colours: NDArray[np.uint8]  # [p, 3]
+    pixels: NDArray[np.int64]  # [p, 2], (x, y) of each point in the reference view
+    spacing: float  # distance of neighbouring points in the middle of the cloud
+    metric: bool  # true if the points are in metres
+    eye: NDArray[np.float64]  # [3], where the camera stands that sees the map
+    step: int  # every so many rows and columns of the map have points
 
     @property
     def centre(self) -> NDArray[np.float64]:

@@ -1,20 +1,16 @@
 """The contents of the viewer: a light field, its maps, and the ground truth."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import count
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import holds_map, load, one_map, read
 from lfgpu.metrics import Metrics, evaluate
@@ -41,16 +37,14 @@ class Entry:
     """A disparity map of the reference view, with its metadata."""
 
     map: DisparityMap
-    result: DepthResult | None = None
-    """The result that the map belongs to; None for a single map."""
-    frame: int | None = 0
-    """Number of the frame of a stream that it belongs to, as `Contents.frame`; None if unknown."""
+    result: DepthResult | None = None  # the result that the map belongs to; None for a single map
+    frame: int | None = 0  # number of the frame of a stream that it belongs to, as `Contents.frame`; None if unknown
     serial: int = field(default_factory=count().__next__, kw_only=True)
     """A number that no other entry of this process has."""
     _ends: dict[str, tuple[float, float]] = field(default_factory=dict, kw_only=True, repr=False)
 
     @classmethod
-    def of(cls, values: DepthResult | DisparityMap, frame: int | None = 0) -> Entry:
+    def of(cls, values: DepthResult | DisparityMap, frame: int | None = 0) -> Self:
         """Return the entry of a result or of a single map."""
         return cls(values.map, values, frame) if isinstance(values, DepthResult) else cls(values, None, frame)
 
@@ -96,8 +90,7 @@ class Contents:
     entries: dict[str, Entry] = field(default_factory=dict)
     frame: int = 0
     """Number of the frame of a stream or a film whose views are shown; 0 before the first one of a stream."""
-    film: Film | None = None
-    """The film that the light field is a frame of; None if it is none."""
+    film: Film | None = None  # the film that the light field is a frame of; None if it is none
 
     @property
     def size(self) -> tuple[int, int] | None:
@@ -140,7 +133,7 @@ class Contents:
             _truths[truth] = Entry(DisparityMap(truth.disparity))
         return {**self.entries, TRUTH: _truths[truth]}
 
-    def with_entry(self, name: str, entry: Entry) -> Contents:
+    def with_entry(self, name: str, entry: Entry) -> Self:
         """Add or replace a map; LightFieldError if its size is not that of the views."""
         if self.size not in (None, entry.disparity.shape):
             assert self.size is not None
@@ -203,7 +196,7 @@ class Contents:
         ends = [(defined.min(), defined.max()) for v in maps if (defined := v[np.isfinite(v)]).size]
         return (float(min(low for low, _ in ends)), float(max(high for _, high in ends))) if ends else None
 
-    def with_frame(self, entry: Entry, views: NDArray[Any] | None) -> Contents:
+    def with_frame(self, entry: Entry, views: NDArray[Any] | None) -> Self:
         """Take the newest frame of a stream: its map, and its views if they are given; LightFieldError if sizes differ.
 
         The truth goes with the views that it belongs to. A map without its views belongs to an unknown frame.
@@ -219,7 +212,7 @@ class Contents:
         newer = replace(self, lf=replace(self.lf, views=views, truth=None), frame=frame)
         return newer.with_entry(LIVE, replace(entry, frame=frame))
 
-    def turned(self, number: int) -> Contents:
+    def turned(self, number: int) -> Self:
         """Return another frame of the film, with its map if there is one; LightFieldError if it is none of them."""
         film = self.film
         if film is None:

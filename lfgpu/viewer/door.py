@@ -1,7 +1,5 @@
 """Door of the server: connections that have not shown the token make room for new ones."""
 
-from __future__ import annotations
-
 import logging
 import socket
 

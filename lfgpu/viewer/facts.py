@@ -1,21 +1,17 @@
 """Facts that pages are told of the state of a viewer, as plain values for JSON, without anything of the web."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 import threading
 from functools import cache
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
 
-from lfgpu.config import Config, parameters
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.config import parameters
+from lfgpu.data import LightField
 from lfgpu.data.summary import are_counted
 from lfgpu.io import MAP_FORMATS
 from lfgpu.methods import METHODS, PRESETS, nearest_preset
@@ -70,7 +66,8 @@ class Facts:
         if contents is not self._of:
             self._revision += 1
             live = self._of is not None and contents.frame + self._of.frame > 0 and contents.frame != self._of.frame
-            if contents.film is not None and self._of is not None and contents.film.path == _path(self._of):
+            film, before = contents.film, None if self._of is None else self._of.film
+            if film is not None and before is not None and film.path == before.path:
                 self._scales = {
                     kind: {**found, "limits": self._scales.get(kind, found)["limits"]}
                     for kind, found in _scales(contents).items()
@@ -82,7 +79,7 @@ class Facts:
                 self._views += 1
             self._contents, self._of = _facts(contents), contents
         progress, loading, stream = board.solver.progress, board.loading, board.stream
-        measured = {name: _known(getattr(stream, name)) for name in ("rate", "latency")}
+        measured = {name: _number(getattr(stream, name)) for name in ("rate", "latency")}
         return {
             **self._contents,
             "revision": self._revision,
@@ -157,10 +154,6 @@ def _facts(contents: Contents) -> dict[str, Any]:
     }
 
 
-def _path(contents: Contents) -> Path | None:
-    return None if contents.film is None else contents.film.path
-
-
 def _light_field(lf: LightField) -> dict[str, Any]:
     return {
         "name": lf.name,
@@ -193,7 +186,10 @@ def _result(contents: Contents, name: str, entry: Entry) -> dict[str, Any]:
     scores, result = contents.scores(name), entry.result
     about = ""
     if result is not None:
-        run = f"{_preset(result.config)}; {result.backend} on {result.device}{_took(result)}. {result.status}"
+        took = "" if result.seconds is None else f", {result.seconds:.2g} s"
+        preset, differs = nearest_preset(result.config)
+        preset += ", changed" if differs else ""
+        run = f"Preset {preset}; {result.backend} on {result.device}{took}. {result.status}"
         about = run if result.converged else f"{run} Not converged: more iterations may improve the map."
     return {
         "name": name,
@@ -229,17 +225,6 @@ def _findings(entry: Entry, scores: Metrics | None) -> list[str]:
     return found
 
 
-def _preset(config: Config) -> str:
-    name, changed = nearest_preset(config)
-    return f"Preset {name}" if not changed else f"Preset {name}, changed"
-
-
-def _took(result: DepthResult) -> str:
-    """Say how long an estimate took, without the time until kernels were ready."""
-    total = result.timings.get("total")
-    return "" if total is None else f", {max(total - result.timings.get('compile', 0.0), 0.0):.2g} s"
-
-
 def _scales(contents: Contents, before: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return the ends of the common scale of each quantity that there is, and its smallest and largest value.
 
@@ -254,9 +239,5 @@ def _scales(contents: Contents, before: dict[str, Any] | None = None) -> dict[st
     return found
 
 
-def _known(value: float | None) -> float | None:
-    return None if value is None else _number(value)
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def _number(value: float | None) -> float | None:
+    return value if value is not None and math.isfinite(value) else None

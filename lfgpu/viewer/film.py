@@ -1,12 +1,10 @@
 """A film: the frames that `lfgpu live --record` kept, and the maps that `lfgpu live -o` wrote of them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Self
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.description import DEFAULT_NAME
@@ -22,9 +20,10 @@ class Film:
     maps: LiveMaps | None = None  # the maps of the frames, if there are some
 
     @classmethod
-    def of(cls, path: Path) -> Film | None:
+    def of(cls, path: Path) -> Self | None:
         """Return the film in a folder; None if there is none."""
-        frames = _recorded(path)
+        found = {int(place.name.rpartition("_")[2]): place for place in path.glob("frame_" + "[0-9]" * 6)}
+        frames = {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}
         return cls(path, frames) if frames else None
 
     @property
@@ -38,7 +37,7 @@ class Film:
             raise LightFieldError(f"{self.path} has no frame {number}.")
         return replace(read(self.frames[number], allow_missing=True), name=self.name)
 
-    def with_maps(self, path: Path, number: int) -> Film:
+    def with_maps(self, path: Path, number: int) -> Self:
         """Return the film with the maps in a folder; LightFieldError if none is of its frame `number`."""
         maps = LiveMaps.of(path)
         if maps.number(_of(self.light_field(number)), number) is None:
@@ -63,9 +62,3 @@ def _of(lf: LightField) -> str:
 def holds_maps_of_frames(path: Path) -> bool:
     """Tell whether a folder is what `lfgpu live -o` wrote."""
     return (path / LOG).is_file()
-
-
-def _recorded(folder: Path) -> dict[int, Path]:
-    """Return the folders of recorded frames by their numbers, in order; empty if nothing was recorded in `folder`."""
-    found = {int(place.name.rpartition("_")[2]): place for place in folder.glob("frame_" + "[0-9]" * 6)}
-    return {number: found[number] for number in sorted(found) if (found[number] / DEFAULT_NAME).is_file()}

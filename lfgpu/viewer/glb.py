@@ -1,7 +1,5 @@
 """Surfaces as GLB whose colours are seen as they are: without light, and with the tone mapping of viser undone."""
 
-from __future__ import annotations
-
 import json
 import struct
 from typing import Any

@@ -1,7 +1,5 @@
 """Guard of the viewer: it answers those who know the token, by a name of this machine, and no pages of other sites."""
 
-from __future__ import annotations
-
 import logging
 import secrets
 from collections.abc import Awaitable, Callable

@@ -3,8 +3,6 @@
 To import and to load a kernel both parse Python, which two threads must not do at the same time.
 """
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 import threading

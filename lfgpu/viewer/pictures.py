@@ -4,8 +4,6 @@ Views come as intensities in the whole range of uint8, or of uint16 where they a
 come as float32, so that pages colour them.
 """
 
-from __future__ import annotations
-
 import math
 from threading import Lock
 from typing import Any
@@ -14,8 +12,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import FINAL, QUANTITIES, Contents, Entry
 from lfgpu.viewer.late import import_all
@@ -26,7 +23,7 @@ TILE = 512
 _FOCUS_VIEWS, _QUICK_FOCUS_VIEWS = (
     49,
     25,
-)  # of a refocused picture, and of one that is sent smaller, to follow its slider
+)  # of a refocused picture, and of a smaller one that follows its slider
 _SHARP_VIEWS = 13  # of a picture that is in focus everywhere
 _ROOM = 64 * 2**20  # bytes of small views that are kept
 _MET = 0.75  # pixels: a point that is not farther from a place is seen there

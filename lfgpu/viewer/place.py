@@ -2,8 +2,6 @@
 once.
 """
 
-from __future__ import annotations
-
 import errno
 import importlib.util
 import secrets

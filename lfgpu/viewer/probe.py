@@ -1,7 +1,5 @@
 """Measurements at pixels and along lines that pages ask for: costs of disparities, differences of maps, statistics."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.viewer.contents import Contents, Entry
 from lfgpu.viewer.pictures import in_reference

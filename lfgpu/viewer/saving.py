@@ -1,13 +1,11 @@
 """Results and maps as files that pages offer for download."""
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.io import MAP_FORMATS, save
 from lfgpu.viewer.contents import FINAL, Contents

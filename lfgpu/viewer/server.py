@@ -8,8 +8,7 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data import DepthResult, DisparityMap, LightField
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.late import import_all
 from lfgpu.viewer.place import Place, check_installed

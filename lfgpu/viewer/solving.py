@@ -1,7 +1,5 @@
 """The solver of the viewer: one estimate at a time in a thread, with progress and cancellation."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.config import Config
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.viewer.late import import_all
@@ -28,8 +25,7 @@ class Request:
     config: Config
     disparity_range: tuple[float, float] | None = None
     name: str = "result"
-    frame: int = 0
-    """Number of the frame of a stream, as `Contents.frame`."""
+    frame: int = 0  # number of the frame of a stream, as `Contents.frame`
 
 
 def preview(request: Request, left: int, top: int, right: int, bottom: int) -> NDArray[np.float32]:

@@ -1,7 +1,5 @@
 """A sight of the viewer as one HTML file that needs no server and no network: the page itself, with its data inside."""
 
-from __future__ import annotations
-
 import base64
 import io
 import json

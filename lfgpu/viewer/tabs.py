@@ -120,10 +120,7 @@ class Tab(Guarded, WebSocketHandler):
         import_all()
         from lfgpu.viewer.space import Space
 
-        return Space(self.site.board, self._picked)
-
-    def _picked(self, x: int, y: int) -> None:
-        self.site.call_soon(self.tell, {"picked": [x, y]})
+        return Space(self.site.board, lambda x, y: self.site.call_soon(self.tell, {"picked": [x, y]}))
 
     def tell(self, words: dict[str, Any]) -> None:
         """Send words to the page, if it is still there."""

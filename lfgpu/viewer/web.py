@@ -1,7 +1,5 @@
 """The web server of the viewer: the page, its data, and what it asks for. Everything lies behind the token."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import logging

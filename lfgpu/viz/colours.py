@@ -3,8 +3,6 @@
 A picture with a palette has the steps of the colour map, the grey of undefined pixels, and greys for text.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,8 +39,7 @@ class Look:
     label: str
     unit: str
     hint: str
-    colours: str
-    """The name of a colour map of matplotlib."""
+    colours: str  # the name of a colour map of matplotlib
 
     @property
     def title(self) -> str:

@@ -9,10 +9,9 @@ from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.cameras.looking import checked_map
 from lfgpu.cameras.points import visible
 from lfgpu.contract import Float32Array
+from lfgpu.data import DepthResult, DisparityMap, LightField, check_light_field
 from lfgpu.data.layout import farthest
 from lfgpu.data.light_field_checks import check_number
-from lfgpu.data.lightfield import LightField, check_light_field
-from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 from lfgpu.viz.splines import CUBIC, LINEAR, colours, shifted, spline, valid_at
 

@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.contract import Float32Array, Float64Array
+from lfgpu.data import LightField, ViewsResult, check_light_field
 from lfgpu.data.filling import fill_unknown
 from lfgpu.data.layout import farthest
 from lfgpu.data.light_field_checks import check_number, check_whole
-from lfgpu.data.lightfield import LightField, check_light_field
-from lfgpu.data.views_result import ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.all_views import Join
 from lfgpu.threads import in_threads

@@ -1,7 +1,5 @@
 """The ends of the scales on which maps are shown."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw
 
 from lfgpu.comparison import Scene, error_map
 from lfgpu.errors import LightFieldError
-from lfgpu.viz.colours import LOOKS, UNDEFINED, painted
+from lfgpu.viz.colours import LOOKS, painted
 from lfgpu.viz.panels import Picture, fitted, rgb
 from lfgpu.viz.pictures import beside_scale, draw_map, draw_view, font, short
 from lfgpu.viz.scales import ERRORS, scale_limits
@@ -37,10 +37,8 @@ def overview(
             f"view, disparity and truth must be [y, x] of the same size; found {picture.shape}, {estimated.shape}, "
             f"{true.shape}."
         )
-    error = error_map(estimated, true)
-    scored = np.zeros(error.shape, np.bool_)
-    scored[border : error.shape[0] - border, border : error.shape[1] - border] = True
-    error = np.where(scored if mask is None else scored & np.asarray(mask), error, np.float32(np.nan))
+    error = _inside(error_map(estimated, true), border)
+    error = error if mask is None else np.where(np.asarray(mask), error, np.float32(np.nan))
     limits = scale_limits(np.asarray(true, np.float32))
     maps = [
         draw_map(values, title=name, label=LOOKS[kind].title, colours=LOOKS[kind].colours, limits=ends).convert("RGB")
@@ -82,7 +80,7 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
             m = scores.get(method)
             error = errors.get((scene.name, method), np.full(scene.truth.shape, np.nan, np.float32))
             said = "no map" if m is None else f"{m.badpix_07:.2f} % bad, MSE×100 {m.mse_100:.2f}"
-            cells.append((method, _framed(error, scene.border), said))
+            cells.append((method, painted(_inside(error, scene.border), LOOKS["error"].colours, ERRORS), said))
         for column, (name, picture, said) in enumerate(cells):
             left = _MARGIN + column * (_CELL + _MARGIN)
             sheet.paste(fitted(picture, wide=_CELL, tall=height), (left, top))
@@ -99,10 +97,8 @@ def comparison(scenes: Sequence[Scene]) -> Image.Image:
     )
 
 
-def _framed(error: NDArray[np.float32], border: int) -> Picture:
-    """Paint an error map, its border that is not scored in the grey of undefined pixels."""
-    picture = painted(error, LOOKS["error"].colours, ERRORS)
-    inner = picture[border : len(picture) - border, border : picture.shape[1] - border].copy()
-    picture[:] = UNDEFINED
-    picture[border : len(picture) - border, border : picture.shape[1] - border] = inner
-    return picture
+def _inside(error: NDArray[np.float32], border: int) -> NDArray[np.float32]:
+    """Leave out the border of an error map, which is not scored: NaN there."""
+    scored = np.zeros(error.shape, np.bool_)
+    scored[border : error.shape[0] - border, border : error.shape[1] - border] = True
+    return np.where(scored, error, np.float32(np.nan))

@@ -6,12 +6,18 @@ from dataclasses import replace
 import numpy as np
 from scipy import ndimage
 
-from lfgpu.data.lightfield import LightField
+import lfgpu
+from lfgpu.data import LightField
 
 
 def truth(lf: LightField) -> np.ndarray:
     """The true disparity of the reference view, [y, x]."""
     return lf.truth.disparity
+
+
+def explained(lf: LightField) -> lfgpu.Explanation:
+    """What is said of the cameras by their own map, at which nobody has looked before."""
+    return lfgpu.explain(lf, lfgpu.estimate_depth(lf, config="fast", check_cameras=False))
 
 
 def with_view(lf: LightField, index: int, change: Callable[[np.ndarray], np.ndarray]) -> LightField:

@@ -20,8 +20,7 @@ from lfgpu.cameras.looking import look, part_of
 from lfgpu.cameras.points import Points
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.trust import _spread
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DepthResult
+from lfgpu.data import DepthResult, LightField
 from lfgpu.io import write_hci
 from lfgpu.pipelines.verdict import judged
 

@@ -4,9 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from command_line import lfgpu as command
-from command_line import refused
-from disturbed import displaced, truth, with_view
+from command_line import lfgpu as command, refused
+from disturbed import displaced, explained, truth, with_view
 from scipy import ndimage
 
 import lfgpu
@@ -17,8 +16,7 @@ from lfgpu.cameras.consensus import outliers, without_gauge
 from lfgpu.cameras.looking import seen_views
 from lfgpu.cameras.signs import near_and_far_swapped, order_of_depth
 from lfgpu.cameras.tones import match_tones
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Reading
+from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
 from lfgpu.io.flips import flipped
@@ -46,7 +44,7 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
 ) -> None:
     """The reference view (12) among them: then it is not all others that are said to be moved."""
     moved = with_view(boxes, index, lambda image: displaced(image, *shift))
-    found = lfgpu.explain(moved, lfgpu.estimate_depth(moved, config="fast"))
+    found = explained(moved)
     (sentence,) = found.findings
     row, column = divmod(index, 5)
     assert f"the view at row {row}, column {column} is" in sentence
@@ -61,7 +59,7 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
 def test_a_view_that_is_far_off_is_found_where_it_is(boxes: LightField, index: int, shift: tuple[int, int]) -> None:
     """All its points are outliers there: steps from where it should be do not reach it. Half of the picture is far."""
     moved = with_view(boxes, index, lambda image: np.roll(image, shift, axis=(1, 0)))
-    found = lfgpu.explain(moved, lfgpu.estimate_depth(moved, config="fast"))
+    found = explained(moved)
     (sentence,) = found.findings
     row, column = divmod(index, 5)
     assert f"the view at row {row}, column {column} is" in sentence
@@ -99,7 +97,8 @@ def test_of_exchanged_views_only_the_one_that_is_tried_has_another_misfit(
 @pytest.mark.parametrize("change", [lambda image: 0 * image, lambda image: image[::-1], lambda image: 255 - image])
 def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     wrong = with_view(boxes, 6, change)
-    result = lfgpu.estimate_depth(wrong, config="fast")
+    before = lfgpu.estimate_depth(wrong, config="fast", check_cameras=False)
+    result = lfgpu.judged(wrong, before)
     (sentence,) = result.remarks
     assert sentence.startswith(
         "what is shown at row 1, column 1 fits the other views at no camera's place, moved or not: "
@@ -107,9 +106,7 @@ def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     assert "replace pictures that are covered" in sentence
     assert "read the rest with --allow-missing (allow_missing=True in Python)." in sentence
     assert np.isnan(lfgpu.explain(wrong, result).brightness[6])
-    np.testing.assert_array_equal(
-        result.confidence, lfgpu.estimate_depth(wrong, config="fast", check_cameras=False).confidence
-    )
+    np.testing.assert_array_equal(result.confidence, before.confidence)
 
 
 @pytest.mark.parametrize("line", ["row", "column"])
@@ -155,7 +152,7 @@ def test_wrong_signs_are_found(
     if irregular:
         lf = lf.subset([0, 1, 3, 6, 9, 11, 12, 14, 15, 18, 20, 23])
     turned = replace(lf, positions=lf.positions @ np.array(matrix, float).T, grid_shape=None, truth=None, geometry=None)
-    found = lfgpu.explain(turned, lfgpu.estimate_depth(turned, config="fast"))
+    found = explained(turned)
     assert found.signs == signs
     assert len(found.findings) == 1
 
@@ -171,7 +168,7 @@ def test_a_pair_tells_nothing_of_what_hides_what(flip: str) -> None:
 
 def test_options_that_were_given_are_counted_in(boxes: LightField) -> None:
     wrong = flipped(replace(boxes, truth=None, geometry=None, reading=Reading(flip="uv")), "uv")
-    (sentence,) = lfgpu.explain(wrong, lfgpu.estimate_depth(wrong, config="fast")).findings
+    (sentence,) = explained(wrong).findings
     assert sentence.endswith("read it without --flip uv.")
     assert Reading(transpose=True, flip="u").advice(transpose=True, flip="v") == (
         "read it without --transpose --flip u"

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu as command
-from command_line import refused
+from command_line import lfgpu as command, refused
 from PIL import Image
 
 import lfgpu
@@ -30,8 +29,7 @@ from lfgpu.calibration.misalign import displacements
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.calibration.resample import pixels
 from lfgpu.contract import Device
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map
 from lfgpu.pipelines.rectifier import Rectifier

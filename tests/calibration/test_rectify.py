@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu as command
-from command_line import refused
+from command_line import lfgpu as command, refused
+from disturbed import explained
 from PIL import Image
 
 import lfgpu
@@ -25,7 +25,7 @@ from lfgpu.calibration import (
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.formats import Calibration
 from lfgpu.calibration.parallel import ideal_cameras
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map
 
@@ -54,9 +54,9 @@ def test_a_true_calibration_undoes_what_the_cameras_did(boxes: LightField) -> No
     # Focal lengths are averaged: compare with the ideal views at the common one.
     scale = found.geometry.focal_length_px / boxes.geometry.focal_length_px
     assert abs(scale - 1) < 0.01
-    explained = lfgpu.explain(found, lfgpu.estimate_depth(found, config="fast"))
-    assert explained.misalignment < 0.03
-    assert explained.findings == ()
+    judged = explained(found)
+    assert judged.misalignment < 0.03
+    assert judged.findings == ()
     assert not found.valid.all()
 
 

@@ -20,8 +20,7 @@ from lfgpu.calibration import camera_info, export_scene, read_calibration, recti
 from lfgpu.calibration.cameras import turned
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.cli import app
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
 from tests.calibration.rigs import rig

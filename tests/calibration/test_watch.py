@@ -14,7 +14,7 @@ from stream_runs import pushing
 import lfgpu
 from lfgpu import scenes
 from lfgpu.calibration import RigWatch
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.rectifier import Rectifier
 

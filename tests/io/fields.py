@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import write_description, write_hci
 from lfgpu.io.png import write_png
 from tests.io import lytro_samples

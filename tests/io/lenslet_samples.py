@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,7 @@ from lfgpu.batch.items import Item
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, damaged_lines, read_manifest, standing
 from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Summary
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DepthResult
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, Geometry, ViewsResult
 from lfgpu.io import load, read_map, save
 from tests.made import made_result
 

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 
 from lfgpu.calibration import rectify
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read
 from lfgpu.scenes import make
 from tests.calibration import rigs

@@ -11,7 +11,7 @@ from fields import BLENDER_FOCAL, BLENDER_STEP, SAMPLES, blender_depth, write_ex
 from PIL import Image
 from samples import changed, refusal
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read, recognise
 from lfgpu.io.parallax import axes_agree, runs_as_truth
 from lfgpu.scenes import make

@@ -16,7 +16,7 @@ from samples import box, refusal, save_hci, save_named
 from typer.testing import CliRunner
 
 from lfgpu.cli import app
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import FORMATS, read, recognise
 from lfgpu.io.parallax import runs_as_truth
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from samples import CFG, HEIGHT, WIDTH, picture, refusal, save, save_hci
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.io import read, read_map, write_hci, write_pfm
 
 

@@ -14,8 +14,7 @@ import numpy as np
 import pytest
 from samples import picture, refusal, save, save_hci
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import load, read, read_map, video
 from lfgpu.io.frames import write_frames

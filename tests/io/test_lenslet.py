@@ -13,7 +13,7 @@ from PIL import Image
 from samples import refusal
 
 import lfgpu
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, recognise
 from lfgpu.io.lenslet import read_lenslet, write_decoded

@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.io import loadmat
 
 from lfgpu.batch.items import find_items
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read, read_map
 from lfgpu.io.images import read_image
 from lfgpu.io.lenslet import entry as module

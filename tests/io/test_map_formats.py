@@ -17,9 +17,7 @@ from typer.testing import CliRunner
 
 import lfgpu
 from lfgpu.cli import app
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.result import DepthResult, DisparityMap
-from lfgpu.data.views_result import ViewsResult
+from lfgpu.data import DepthResult, DisparityMap, Geometry, ViewsResult
 from lfgpu.io import MAP_FORMATS, holds_map, load, read_map, save
 from tests.made import made_result
 

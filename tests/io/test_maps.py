@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 import lfgpu
 from lfgpu import scenes
 from lfgpu.cli import app
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read, read_map, read_mask, write_hci, write_pfm
 from lfgpu.io.contradictions import contradictions
 from lfgpu.methods.measured import exposure_of

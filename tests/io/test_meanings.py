@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 from samples import grid_of, planes, refusal, save, save_as, stored_as
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read
 from lfgpu.io.contradictions import contradictions
 from lfgpu.scenes import make

@@ -17,7 +17,7 @@ from samples import HEIGHT, WIDTH, grid_of, picture, refusal
 from scipy import sparse
 from scipy.io import loadmat, savemat
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import matlab5, read
 

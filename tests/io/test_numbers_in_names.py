@@ -13,7 +13,7 @@ from PIL import Image
 from samples import grid_of, picture, planes, refusal, save, save_as, stored_as
 
 from lfgpu.batch.items import find_items
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read
 from lfgpu.io.images import TURNED, read_image
 from lfgpu.pipelines.sources.base import Options

@@ -11,7 +11,7 @@ from fields import SAMPLES, scene
 from PIL import Image
 from samples import box, picture, refusal, save, save_named
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import read, recognise
 from lfgpu.io.parallax import axes_agree
 

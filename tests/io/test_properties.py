@@ -12,14 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
+from hypothesis import HealthCheck, given, settings, strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 from PIL import Image
 
-from lfgpu.data.geometry import Geometry
-from lfgpu.data.lightfield import GroundTruth, LightField
+from lfgpu.data import Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import FORMATS, read, read_map, read_mask, write_description, write_pfm
 from lfgpu.io.damage import read_as

@@ -7,7 +7,7 @@ import pytest
 from conftest import real_data
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import parallax, read, read_map
 from lfgpu.io.flips import flipped
 from lfgpu.io.images import read_image

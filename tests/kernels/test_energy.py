@@ -11,7 +11,7 @@ import pytest
 
 from lfgpu._backends import load
 from lfgpu.contract import Device, KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.methods.sections import PriorConfig
 from lfgpu.methods.synthesis.config import RefinementConfig

@@ -20,7 +20,7 @@ from test_matrix import CELLS, INPUTS, cell
 from lfgpu import scenes
 from lfgpu._backends import open_device
 from lfgpu.contract import Device, KernelSet
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.matching import frame
 from lfgpu.methods.synthesis import model

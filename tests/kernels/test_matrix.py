@@ -32,8 +32,7 @@ import volume_checks
 import without_truth
 from conftest import SEED
 
-from lfgpu import _backends
-from lfgpu import contract as types
+from lfgpu import _backends, contract as types
 
 INPUTS: dict[str, tuple[tuple[Any, ...], Any]] = {
     "splat": (splat_checks.SPLAT_CASES, splat_checks.splat_inputs),

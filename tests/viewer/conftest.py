@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io import save, write_hci
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from lfgpu import scenes
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap
 from lfgpu.viewer import Viewer
 from tests.browser import chromium
 from tests.viewer.page import Page

@@ -10,8 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lfgpu.cli import app
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.io import load, write_pfm
 from lfgpu.viewer import Viewer
 from lfgpu.viewer.facts import Facts

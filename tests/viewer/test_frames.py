@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.live_maps import fingerprint, write_live_map
 from lfgpu.pipelines.sources.recording import recorded

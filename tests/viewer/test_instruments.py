@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.viewer import Viewer, probe
 from lfgpu.viewer.contents import Contents, Entry

@@ -8,8 +8,7 @@ from urllib.request import urlopen
 import numpy as np
 import pytest
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.viewer import Viewer
 from tests.browser import until
 from tests.viewer.page import GREY, HOLE, MARK, SIZE, Page, marked, viridis

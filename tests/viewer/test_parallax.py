@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu import scenes
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.viewer import Viewer
 from tests.browser import until
 from tests.viewer.page import Page

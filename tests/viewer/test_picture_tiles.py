@@ -7,8 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 import numpy as np
 import pytest
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.result import DisparityMap
+from lfgpu.data import DisparityMap, LightField
 from lfgpu.viewer import Viewer
 from lfgpu.viz.refocusing import all_in_focus
 from lfgpu.viz.splines import LINEAR

@@ -5,10 +5,10 @@ Its first pixel has its centre at (0.5, 0.5).
 
 import os
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +32,10 @@ _MODELS = {  # number, count of parameters, indices of fx, fy, cx, cy, then thos
 }
 _NUMBERED = {model[0]: name for name, model in _MODELS.items()}
 
-_LARGEST_TEXT = 1 << 30  # bytes: the points that images show stand in it, too
+T = TypeVar("T")
+
+_LARGEST_TABLE = 1 << 24  # bytes of a text of cameras or rigs
+_LARGEST_TEXT = 1 << 30  # bytes of others: the points that images show stand in it, too
 _LONGEST_NAME = 4096  # bytes
 _APART = 1e-3  # share of the extent of the cameras, and radians, by which two poses of an image may differ
 
@@ -99,30 +102,32 @@ def _sentences(folder: Path, what: str) -> Iterator[None]:
         raise LightFieldError(f"{folder} holds a damaged {what} of COLMAP: {error}.") from error
 
 
+def _entries(
+    folder: Path,
+    name: str,
+    of_binary: Callable[[BinaryIO], Iterator[T]],
+    of_text: Callable[[str], Iterator[T]],
+    largest: int = _LARGEST_TABLE,
+) -> Iterator[T]:
+    """Yield the entries of a file of a model, binary or a text of at most `largest` bytes; none where there is none."""
+    if (folder / f"{'cameras' if name == 'images' else name}.bin").is_file():  # both are of one kind
+        with (folder / f"{name}.bin").open("rb") as file:
+            yield from of_binary(file)
+    elif (folder / f"{name}.txt").is_file():
+        yield from of_text(read_text(folder / f"{name}.txt", largest=largest))
+
+
 def _lenses(folder: Path) -> dict[int, Lens]:
-    if not _is_binary(folder):
-        return dict(_text_cameras(read_text(folder / "cameras.txt")))
-    with (folder / "cameras.bin").open("rb") as file:
-        return dict(_binary_cameras(file))
+    return dict(_entries(folder, "cameras", _binary_cameras, _text_cameras))
 
 
 def _poses(folder: Path) -> list[Pose]:
-    if not _is_binary(folder):
-        return list(_text_images(read_text(folder / "images.txt", largest=_LARGEST_TEXT)))
-    with (folder / "images.bin").open("rb") as file:
-        return list(_binary_images(file))
+    return list(_entries(folder, "images", _binary_images, _text_images, _LARGEST_TEXT))
 
 
 def _rigs(folder: Path) -> list[RigPoses]:
     """Read the poses of the cameras of each rig; none of models without rigs."""
-    if (folder / "rigs.bin").is_file():
-        with (folder / "rigs.bin").open("rb") as file:
-            return list(_binary_rigs(file))
-    return list(_text_rigs(read_text(folder / "rigs.txt"))) if (folder / "rigs.txt").is_file() else []
-
-
-def _is_binary(folder: Path) -> bool:
-    return (folder / "cameras.bin").is_file()
+    return list(_entries(folder, "rigs", _binary_rigs, _text_rigs))
 
 
 def _check_known(keys: set[int], lenses: Mapping[int, Lens], who: str) -> None:
@@ -298,7 +303,7 @@ def check_frames(folder: Path, images: Mapping[int, tuple[int, FramePose, str]],
     """
     centres = {key: _centre(pose) for key, (_, pose, _) in images.items()}
     extent = float(np.ptp(np.array(list(centres.values())), axis=0).max()) if centres else 0.0
-    for frame, number in _frames(folder):
+    for frame, number in _entries(folder, "frames", _binary_frames, _text_frames, _LARGEST_TEXT):
         if number not in images or images[number][0] not in rig:
             continue
         key, own, name = images[number]
@@ -314,19 +319,13 @@ def check_frames(folder: Path, images: Mapping[int, tuple[int, FramePose, str]],
             )
 
 
-def _frames(folder: Path) -> Iterator[tuple[FramePose, int]]:
+def _text_frames(text: str) -> Iterator[tuple[FramePose, int]]:
     """Yield the pose of the rig (world to rig) and the number of each image that was taken from there."""
-    if (folder / "frames.bin").is_file():
-        with (folder / "frames.bin").open("rb") as file:
-            yield from _binary_frames(file)
-    elif (folder / "frames.txt").is_file():
-        for line in _rows(read_text(folder / "frames.txt", largest=_LARGEST_TEXT)):
-            parts = line.split()
-            if len(parts) < 10:
-                continue
-            for at in range(10, 10 + 3 * int(parts[9]), 3):
-                if parts[at] == "CAMERA":
-                    yield tuple(map(float, parts[2:9])), int(parts[at + 2])
+    for line in _rows(text):
+        parts = line.split()
+        for at in range(10, 10 + 3 * int(parts[9]), 3) if len(parts) >= 10 else ():
+            if parts[at] == "CAMERA":
+                yield tuple(map(float, parts[2:9])), int(parts[at + 2])
 
 
 def _binary_frames(file: BinaryIO) -> Iterator[tuple[FramePose, int]]:

@@ -32,8 +32,7 @@ class Capture:
     """Gains of red, green and blue that make white of white, if the file has them; else 1."""
     source: str  # the kind of its file, for people
     notes: tuple[str, ...] = ()
-    camera: Camera | None = None
-    """The camera, as far as the file describes it."""
+    camera: Camera | None = None  # the camera, as far as the file describes it
 
 
 @dataclass(frozen=True)

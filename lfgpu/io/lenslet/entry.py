@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Inside
+from lfgpu.data import Inside, LightField
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io import lytro, pillow
 from lfgpu.io.atomic import atomic_write

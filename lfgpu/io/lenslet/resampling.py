@@ -26,8 +26,7 @@ class ViewGrid:
     """
 
     lenses: Microlenses
-    origin: NDArray[np.float64]
-    """[2], (x, y) on the sensor of the pixel at the top left."""
+    origin: NDArray[np.float64]  # [2], (x, y) on the sensor of the pixel at the top left
     shape: tuple[int, int]  # (height, width) in pixels
     first_row: int  # row of lenses of the first row of pixels
 

@@ -39,8 +39,7 @@ class Container:
 
     path: Path
     table: dict[str, Any]
-    sections: dict[str, Section]
-    """All sections of data by name."""
+    sections: dict[str, Section]  # all sections of data by name
 
     def has(self, name: object) -> bool:
         """Tell whether a section of this name is there; `name` is whatever stood in JSON."""

@@ -4,12 +4,10 @@ Cameras write the raw picture. Lytro's desktop program and web service write "ac
 computed from it, for viewers. The first camera's program and the Illum's describe them with different words.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,7 +44,7 @@ class Camera:
     microlenses: MicrolensArray | None
 
     @classmethod
-    def of(cls, metadata: Members) -> Camera:
+    def of(cls, metadata: Members) -> Self:
         """Read the metadata of a capture; what is not as it should be is left out."""
         lens, shutter = ("devices", "lens"), ("devices", "shutter")
         focal_length = metadata.find_number(*lens, "focalLength")
@@ -105,10 +103,8 @@ class Views:
 
     representation: str  # kind of the files: "jpeg", "png", or "h264" for a video
     size: tuple[int, int]  # (height, width) in pixels
-    sections: tuple[str, ...]
-    """Names of the sections: one for each picture, or the one with the video."""
-    coordinates: NDArray[np.float64]
-    """[n, 2], (x, y) of each place in Lytro's unit, x to the right and y down."""
+    sections: tuple[str, ...]  # names of the sections: one for each picture, or the one with the video
+    coordinates: NDArray[np.float64]  # [n, 2], (x, y) of each place in Lytro's unit, x to the right and y down
 
 
 @dataclass(frozen=True)
@@ -128,8 +124,7 @@ class Contents:
     views: Views | None
     others: tuple[str, ...]  # names of what is no light field
     camera: Camera | None
-    missing: str | None
-    """Name of the raw picture, if the table names one that is not in the file."""
+    missing: str | None  # name of the raw picture, if the table names one that is not in the file
 
     def summary(self) -> str:
         """Describe the contents in words: "37 views of 1080 x 1080 px, a focal stack"; "nothing"."""

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.data import Inside, LightField
 from lfgpu.data.geometry import usual_gap
-from lfgpu.data.lightfield import LightField
-from lfgpu.data.reading import Inside
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow, video
 from lfgpu.io.arrays import field_of

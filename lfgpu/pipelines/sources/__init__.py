@@ -1,14 +1,11 @@
 """Sources of frames of `lfgpu live`: one table, a file and an entry each. The first that recognises a text opens it."""
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField, interop
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources import devices, folder, grabber, scene, shared_memory, videos

@@ -1,14 +1,12 @@
 """Sources of frames, and the options of users."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.pipelines.rectifier import Rectifier
 
@@ -22,8 +20,7 @@ class Options:
 
     grid: tuple[int, int] | None = None  # (rows, columns) of the cameras, and of the views of a synthetic scene
     like: LightField | None = None  # light field of the same cameras that gives positions, reference view and geometry
-    scene: dict[str, Any] = field(default_factory=dict)
-    """Options of `scenes.make`, such as `size` and `noise`."""
+    scene: dict[str, Any] = field(default_factory=dict)  # options of `scenes.make`, such as `size` and `noise`
     most: int | None = None  # largest number of frames that are used; None: no limit
     rectifier: Rectifier | None = None  # with it frames are raw pictures of its cameras
     say: Callable[[str], None] = lambda _: None  # takes sentences for the user, such as which frame was left out

@@ -1,7 +1,5 @@
 """Source of cameras, or streams on a network, that OpenCV opens (extra `opencv`)."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from typing import Any
 

@@ -1,13 +1,11 @@
 """Loop that feeds a stream from a source."""
 
-from __future__ import annotations
-
 import time
 from collections import deque
 from collections.abc import Callable
 from typing import Any
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.pipelines.sources.base import Frames
 from lfgpu.pipelines.stream import DepthStream
 from lfgpu.pipelines.stream_result import StreamResult

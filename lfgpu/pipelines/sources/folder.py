@@ -1,7 +1,5 @@
 """Source of light fields in a folder: one sub-folder for each frame, all there or still coming."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.folders import natural_order, sub_folders

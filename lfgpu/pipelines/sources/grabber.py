@@ -1,7 +1,5 @@
 """Source of frames that a Python function yields, a grabber."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import sys

@@ -1,7 +1,5 @@
 """Recording of frames as they come, so that they can be played again: `lfgpu live FOLDER`."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data import interop
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField, interop
 from lfgpu.io.atomic import atomic_folder
 from lfgpu.io.description import DEFAULT_NAME, write_description
 from lfgpu.pipelines.sources.base import Frames

@@ -10,7 +10,7 @@ from lfgpu.pipelines.sources.base import Frames, Options
 from lfgpu.threads import in_threads
 
 if TYPE_CHECKING:
-    from lfgpu.data.lightfield import LightField
+    from lfgpu.data import LightField
 
 _SAID_AGAIN = 2.0  # seconds, at least, between two sentences about how many frames are made
 _ROUND = 24  # frames of a scene that moves, after which it repeats

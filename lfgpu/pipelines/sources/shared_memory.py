@@ -1,8 +1,6 @@
 """Source of frames in shared memory: the newest frame of a ring buffer (`lfgpu/io/ring.py`)."""
 
-from __future__ import annotations
-
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.io.ring import RingReader
 from lfgpu.pipelines.sources.base import Frames, Options
 

@@ -1,7 +1,5 @@
 """Source of videos: one for each camera, or one whose frames are grids of views (extra `video`)."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
@@ -9,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data.lightfield import LightField
+from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import video
 from lfgpu.io.folders import entries, listed, natural_order

@@ -1,6 +1,6 @@
 """Functions of higher rooms that results call: to save themselves, and to show themselves in notebooks.
 
-`lfgpu/__init__.py` sets them, so that this room imports none of those above it.
+`lfgpu/__init__.py` sets them, so that the room of results imports none of those above it.
 """
 
 from collections.abc import Callable
