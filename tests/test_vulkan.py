@@ -142,7 +142,7 @@ def test_iterations_after_the_last_one_change_nothing(gpu: dict[str, str]) -> No
     assert seen[1] == seen[0]
 
 
-@pytest.mark.parametrize("chosen", [None, [0, 1, 2, 4, 5, 6], [6, 1]])
+@pytest.mark.parametrize("chosen", [None, [0, 1, 2, 4, 5, 6], [6, 1], [1, 3, 5, 0, 2, 4, 6, 5, 3]])
 def test_views_are_uploaded_in_pieces(
     gpu: dict[str, str], chosen: list[int] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,9 +152,9 @@ def test_views_are_uploaded_in_pieces(
     wanted, sizes = values if chosen is None else values[chosen], []
     array, run = device.image(np.zeros_like(wanted)), memory.run
 
-    def launch(kernel: Any, pixels: Any, *given: Any) -> None:
-        sizes.append(len(pixels) // values[0, ..., 0].size)
-        run(kernel, pixels, *given)
+    def launch(kernel: Any, *given: Any) -> None:
+        sizes.extend(len(pixels) // values[0, ..., 0].size for pixels in given[:-2])
+        run(kernel, *given)
 
     monkeypatch.setattr(memory, "_PIECE", 2 * values[0].nbytes)
     monkeypatch.setattr(memory, "run", launch)
