@@ -196,15 +196,17 @@ def _gather_kernel(stored: Any, channels: int) -> Any:
 
 
 @once
-def _copy_kernel(stored: Any, channels: int | None = None) -> Any:
-    """Return the kernel that copies from the device to the host."""
+def _read_kernel(stored: Any, channels: int | None = None) -> Any:
+    """Return the kernel that copies an array from the device to the host, and returns a number."""
+    real = double()
 
     @ti.kernel
-    def copy_kernel(values: flat(stored, channels), values_out: flat(stored, channels)):
+    def read_kernel(values: flat(stored, channels), scalar: flat(real), values_out: flat(stored, channels)) -> real:
         for p in range(values.shape[0]):
             values_out[p] = values[p]
+        return scalar[0]
 
-    return copy_kernel
+    return read_kernel
 
 
 def shared(field: DeviceArray) -> Any:
@@ -221,10 +223,14 @@ def clear(array_out: DeviceArray) -> DeviceArray:
 
 
 def numpy(array: DeviceArray) -> NDArray[Any]:
+    return read(array, one())[0]
+
+
+def read(array: DeviceArray, scalar: DeviceArray) -> tuple[NDArray[Any], float]:
     elements = array.values.element_shape
     values: NDArray[Any] = np.empty(array.values.shape + elements, to_numpy_type(array.scalar))
-    run(_copy_kernel(array.scalar, *elements), array, values)  # Taichi's own copy waits twice
-    return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels))
+    number = run(_read_kernel(array.scalar, *elements), array, scalar, values)  # Taichi's own copy waits twice
+    return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels)), float(number)
 
 
 def number(scalar: DeviceArray) -> float:

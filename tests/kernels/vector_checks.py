@@ -169,6 +169,7 @@ def memory(desk: Desk, i: SimpleNamespace) -> Outputs:
     desk.kernels.numpy(field)[:] = 9.0
     zeros = desk.kernels.zeros(i.x.shape, desk.device)
     number = desk.kernels.number(desk.number(i.alpha))
+    read, beside = desk.kernels.read(field, desk.number(i.beta))
     cleared = desk.kernels.clear(desk.kernels.field(i.x, desk.device))
     return {
         "field": field,
@@ -177,6 +178,8 @@ def memory(desk: Desk, i: SimpleNamespace) -> Outputs:
         "zeros": zeros,
         "cleared": cleared,
         "number": number,
+        "read": read.ravel().tolist(),
+        "number beside": beside,
     }
 
 
