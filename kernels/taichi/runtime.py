@@ -194,9 +194,11 @@ def double() -> Any:
 
 @cache
 def _threads() -> int:
-    """Return how many threads make a loop on Vulkan: as many as a GPU may keep at once, few where it is a CPU."""
-    device = choose()
-    return 2**12 if device.is_software else 2**19 if device.has_own_memory else 2**17
+    """Return how many threads make a loop on Vulkan: more than a large GPU keeps, elsewhere as many as Taichi starts.
+
+    Fewer would not do: Mesa's driver for the CPU ends the loops of a thread after 65535 turns in all.
+    """
+    return 2**19 if choose().has_own_memory else 2**17
 
 
 @cache
