@@ -10,7 +10,7 @@ from .memory import DeviceArray, number
 from .runtime import on_cpu
 
 _turns: WeakKeyDictionary[DeviceArray, int] = WeakKeyDictionary()
-"""How many turns the last loop took that a number decided about: a GPU is first waited for after as many."""
+"""Turns of the last loop that a number decided about: a GPU is first waited for after as many."""
 
 
 def repeat(body: Callable[[], None], go_on: DeviceArray, most: int, *, at_once: int = 1) -> None:
