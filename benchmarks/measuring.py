@@ -19,7 +19,7 @@ from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
 
-_WAITS = ("numpy", "number")
+_WAITS = ("numpy", "number", "read")
 """Operations for which the host waits."""
 
 

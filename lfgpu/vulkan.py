@@ -13,8 +13,8 @@ from lfgpu.errors import BackendError
 
 _LIBRARY = "vulkan-1.dll" if sys.platform == "win32" else "libvulkan.so.1"
 _LEAST = 1 << 22 | 2 << 12  # Vulkan 1.2
-_SOFTWARE = 4  # the type of a device that is the CPU
-_ORDER = (2, 1, 3, 0, _SOFTWARE)  # of types: with memory of their own, integrated, of virtual machines, others
+_OWN_MEMORY, _SOFTWARE = 2, 4  # the types of devices with memory of their own, and of one that is the CPU
+_ORDER = (_OWN_MEMORY, 1, 3, 0, _SOFTWARE)  # of types; the others are integrated, of virtual machines, and any others
 _INSTALL = (
     "install it with the driver of your GPU: for AMD and Intel on Debian and Ubuntu `apt-get install libvulkan1 "
     "mesa-vulkan-drivers`, elsewhere the driver of the GPU's maker."
@@ -33,6 +33,11 @@ class VulkanDevice:
     largest: int  # bytes of the largest array
     lacks: tuple[str, ...]  # features that kernels need and that the driver has not
     has_doubles: bool  # True if it computes in float64
+
+    @property
+    def has_own_memory(self) -> bool:
+        """True if the device is a GPU with memory of its own, and not a part of the CPU."""
+        return self.type == _OWN_MEMORY
 
     @property
     def is_software(self) -> bool:

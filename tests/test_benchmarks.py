@@ -125,6 +125,17 @@ def test_the_clock_batches_short_calls() -> None:
     assert not timed.captured
 
 
+@pytest.mark.parametrize(("on_gpu", "taken", "runs"), [(True, 1.0, 3), (True, 0.25, 6), (False, 0.25, 3)])
+def test_a_gpu_is_warm_before_it_is_timed(
+    on_gpu: bool, taken: float, runs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its clock rises in the first second of work; on a CPU a few runs will do."""
+    ends: list[float] = []
+    monkeypatch.setattr(clock, "perf_counter", lambda: ends[-1] if ends else 0.0)
+    pipelines._warm_up(lambda: ends.append((len(ends) + 1) * taken), repeats=50, on_gpu=on_gpu)
+    assert len(ends) == runs
+
+
 # --- files ---
 
 

@@ -16,8 +16,7 @@ from lfgpu.methods import preset
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.method import Synthesis
 from lfgpu.metrics import Metrics, evaluate
-from lfgpu.pipelines import estimate as depth
-from lfgpu.pipelines import rehearsal
+from lfgpu.pipelines import estimate as depth, rehearsal
 from tests.made import masked
 
 RANGE, WIDE = (-1.5, 1.5), (-3.0, 3.0)

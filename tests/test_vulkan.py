@@ -142,7 +142,65 @@ def test_iterations_after_the_last_one_change_nothing(gpu: dict[str, str]) -> No
     assert seen[1] == seen[0]
 
 
-@pytest.mark.parametrize("chosen", [None, [0, 1, 2, 4, 5, 6], [6, 1]])
+@pytest.mark.parametrize("count", [1, 127, 128, 129, 1000])
+def test_loops_are_made_in_a_fixed_number_of_threads(
+    gpu: dict[str, str], count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lfgpu.kernels.taichi import memory, runtime
+
+    open_device(**gpu)  # type: ignore[arg-type]
+    monkeypatch.setattr(runtime, "_threads", lambda: 128)
+
+    def square(values, size, values_out):  # type: ignore[no-untyped-def]
+        half = size // 2
+        for i in range(values.shape[0]):
+            values_out[i] = values[i] * values[i]
+        for i in range(half):
+            values_out[i] = values_out[i] + 1.0
+        for i in range(0):
+            values_out[i] = 9.0
+
+    square.__annotations__ = {"values": memory.flat(), "size": int, "values_out": memory.flat()}
+    values = np.arange(count, dtype=np.float32)
+    out = memory.empty((count,))
+    runtime.run(ti.kernel(square), memory.field(values, gpu["device"]), count, out)
+    np.testing.assert_array_equal(memory.numpy(out), values**2 + (np.arange(count) < count // 2))
+
+
+def test_loops_whose_end_is_known_stay_as_they_are() -> None:
+    import ast
+
+    from lfgpu.kernels.taichi import wide_loops
+
+    source = """
+def work(a: flat(), chosen: ti.template(), size: int):
+    half = size // 2
+    for i in range(a.shape[0] * 3):
+        a[i] = 0.0
+    for i in range(128):
+        a[i] = 1.0
+    for i in range(TURNS):
+        a[i] = 2.0
+    for i in range(chosen):
+        a[i] = 3.0
+    ti.loop_config(block_dim=BLOCK)
+    for i in range(a.shape[0]):
+        a[i] = 4.0
+    for i in range(half):
+        a[i] = 5.0
+    for i, j in ti.ndrange(size, size):
+        a[i] = 6.0
+"""
+    kernel = ast.parse(source).body[0]
+    assert isinstance(kernel, ast.FunctionDef)
+    wide_loops._widen(kernel, 64)
+    texts = [ast.unparse(loop) for loop in kernel.body if isinstance(loop, ast.For)]
+    assert [text.startswith("for thread_ in range(64):") for text in texts] == [True, *[False] * 4, True, False]
+    lines = ["for thread_ in range(64):", "for turn_ in range((a.shape[0] * 3 - 1 - thread_) // 64 + 1):"]
+    assert [line.strip() for line in texts[0].splitlines()] == [*lines, "i = thread_ + turn_ * 64", "a[i] = 0.0"]
+
+
+@pytest.mark.parametrize("chosen", [None, [0, 1, 2, 4, 5, 6], [6, 1], [1, 3, 5, 0, 2, 4, 6, 5, 3]])
 def test_views_are_uploaded_in_pieces(
     gpu: dict[str, str], chosen: list[int] | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -152,9 +210,9 @@ def test_views_are_uploaded_in_pieces(
     wanted, sizes = values if chosen is None else values[chosen], []
     array, run = device.image(np.zeros_like(wanted)), memory.run
 
-    def launch(kernel: Any, pixels: Any, *given: Any) -> None:
-        sizes.append(len(pixels) // values[0, ..., 0].size)
-        run(kernel, pixels, *given)
+    def launch(kernel: Any, *given: Any) -> None:
+        sizes.extend(len(pixels) // values[0, ..., 0].size for pixels in given[:-2])
+        run(kernel, *given)
 
     monkeypatch.setattr(memory, "_PIECE", 2 * values[0].nbytes)
     monkeypatch.setattr(memory, "run", launch)

@@ -6,9 +6,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 
-def conjugate_step(p: Array, q: Array, preconditioner: Array, rz: Array, x: Array, r: Array) -> None:
+def conjugate_step(p: Array, q: Array, preconditioner: Array, rz: Array, x: Array, r: Array, go_on: Array) -> None:
     pq = float(np.vdot(p, q))
-    alpha = rz[0] / pq if pq != 0 else 0.0
+    alpha = rz[0] / pq if pq != 0 and go_on[0] > 0 else 0.0
     x += alpha * p
     r -= alpha * q
     z = preconditioner * r

@@ -13,7 +13,7 @@ def kernel_cache() -> None:
 
 def repeat(body: Callable[[], None], go_on: NDArray[np.float64], most: int, *, at_once: int = 1) -> None:
     for _ in range(most):
-        if go_on[0] == 0:
+        if go_on[0] <= 0:
             return
         body()
 

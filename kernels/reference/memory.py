@@ -52,3 +52,7 @@ def shared(field: Array) -> Array:
 
 def number(scalar: Array) -> float:
     return float(scalar[0])
+
+
+def read(array: Array, scalar: Array) -> tuple[Array, float]:
+    return numpy(array), number(scalar)

@@ -20,10 +20,15 @@ class Residuals:
     def begin(self, norm: Array) -> None:
         self._norm = float(norm[0]) or 1.0
         self._trace = []
+        self.go_on[0] = 1
 
     def add(self, residual: Array) -> None:
+        if self.go_on[0] <= 0:
+            self.go_on[0] -= 1
+            return
         self._trace.append(math.sqrt(max(float(residual[0]), 0.0) / self._norm))
-        self.go_on[0] = self._trace[-1] > self._tolerance and len(self._trace) < self._most + 1
+        if not (self._trace[-1] > self._tolerance and len(self._trace) < self._most + 1):
+            self.go_on[0] = 0
 
     def report(self) -> list[float]:
         return list(self._trace)

@@ -22,6 +22,7 @@ def _kernel() -> Any:
         rz: flat(real),
         x: field,
         r: field,
+        go_on: flat(real),
         parts: flat(real),
         shares: flat(real),
     ):
@@ -39,7 +40,7 @@ def _kernel() -> Any:
             total = sums.total(parts, 0, PARTS, turn)
             if turn == 0:
                 shares[0] = 0.0
-                if total != 0.0:
+                if total != 0.0 and go_on[0] > 0.0:
                     shares[0] = rz[0] / total
         ti.loop_config(block_dim=BLOCK)
         for turn in range(sums.turns):
@@ -73,7 +74,12 @@ def _shares() -> DeviceArray:
 
 
 def conjugate_step(
-    p: DeviceArray, q: DeviceArray, preconditioner: DeviceArray, rz: DeviceArray, x: DeviceArray, r: DeviceArray
+    p: DeviceArray,
+    q: DeviceArray,
+    preconditioner: DeviceArray,
+    rz: DeviceArray,
+    x: DeviceArray,
+    r: DeviceArray,
+    go_on: DeviceArray,
 ) -> None:
-    fields = p, q, preconditioner, rz, x, r
-    run(_kernel(), *fields, parts(), _shares())
+    run(_kernel(), p, q, preconditioner, rz, x, r, go_on, parts(), _shares())

@@ -2,17 +2,27 @@
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from weakref import WeakKeyDictionary
 
 from taichi.lang import impl
 
 from .memory import DeviceArray, number
 from .runtime import on_cpu
 
+_turns: WeakKeyDictionary[DeviceArray, int] = WeakKeyDictionary()
+"""Turns of the last loop that a number decided about: a GPU is first waited for after as many."""
+
 
 def repeat(body: Callable[[], None], go_on: DeviceArray, most: int, *, at_once: int = 1) -> None:
-    for turn in range(1, most + 1):
-        if (on_cpu() or turn % at_once == 0) and number(go_on) == 0:
-            return
+    every = 1 if on_cpu() else at_once
+    look = 0 if every == 1 else _turns.get(go_on, every - 1)
+    for turn in range(most):
+        if turn == look:
+            left = number(go_on)
+            if left <= 0:
+                _turns[go_on] = turn + int(left)
+                return
+            look += every
         body()
 
 

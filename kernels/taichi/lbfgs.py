@@ -76,7 +76,9 @@ def _search_kernels() -> SimpleNamespace:
         go_on_out: numbers,
     ):
         state[_ACCEPTED] = 0.0
-        if go_on_out[0] != 0.0:  # a host that looks seldom goes on for a while
+        if go_on_out[0] <= 0.0:  # a host that looks seldom goes on for a while
+            go_on_out[0] = go_on_out[0] - 1.0
+        else:
             step = state[_STEP]
             promised = step * state[_SLOPE]
             trial = trial_value[0]

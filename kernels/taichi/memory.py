@@ -19,7 +19,8 @@ from .runtime import DeviceArray as DeviceArray, alone, double, most_bytes, once
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels
-_PIECE = 4 * 2**20  # bytes of views at a time where the host writes to memory of a driver, which keeps little of it
+_PIECE = 4 * 2**20  # bytes of views together where the host writes to memory of a driver, which keeps little of it
+_AT_ONCE = 4  # such pieces, or else views that lie together, in one launch: it waits for the device
 _MOST = 2**31 - 1  # Taichi's indices have 32 bits
 
 
@@ -155,23 +156,56 @@ def upload(values: NDArray[Any], array_out: DeviceArray, *, chosen: Sequence[int
     indices, first = np.arange(len(given)) if chosen is None else np.array(chosen), 0
     most = max(1, _PIECE // given[:1].nbytes) if stages_arrays() else len(indices)
     ends = (np.diff(indices) != 1) | (np.arange(1, len(indices)) % most == 0)
-    for some in np.split(indices, np.flatnonzero(ends) + 1):  # those that lie together
-        part = np.ascontiguousarray(given[some[0] : some[-1] + 1], to_numpy_type(array_out.scalar))
-        pixels = part.reshape(-1, array_out.channels)
-        run(_copy_kernel(array_out.scalar, array_out.channels), pixels, first, array_out)
-        first += len(pixels)
+    together = np.split(indices, np.flatnonzero(ends) + 1)
+    for turn in range(0, len(together), _AT_ONCE):
+        parts = [
+            np.ascontiguousarray(given[some[0] : some[-1] + 1], to_numpy_type(array_out.scalar)).reshape(
+                -1, array_out.channels
+            )
+            for some in together[turn : turn + _AT_ONCE]
+        ]
+        padding = [parts[0][:1]] * (_AT_ONCE - len(parts))
+        run(_gather_kernel(array_out.scalar, array_out.channels), *parts, *padding, first, array_out)
+        first += sum(map(len, parts))
 
 
 @once
-def _copy_kernel(stored: Any, channels: int | None = None) -> Any:
-    """Return the kernel that copies from the host to the device, and back."""
+def _gather_kernel(stored: Any, channels: int) -> Any:
+    """Return the kernel that copies arrays of the host to the device, one behind the other as far as there is room."""
+    pixels = flat(stored, channels)
 
     @ti.kernel
-    def copy_kernel(values: flat(stored, channels), first: int, values_out: flat(stored, channels)):
-        for p in range(values.shape[0]):
-            values_out[first + p] = values[p]
+    def gather_kernel(a: pixels, b: pixels, c: pixels, d: pixels, first: int, pixels_out: pixels):
+        for p in range(a.shape[0]):
+            pixels_out[first + p] = a[p]
+        for p in range(b.shape[0]):
+            place = first + a.shape[0] + p
+            if place < pixels_out.shape[0]:
+                pixels_out[place] = b[p]
+        for p in range(c.shape[0]):
+            place = first + a.shape[0] + b.shape[0] + p
+            if place < pixels_out.shape[0]:
+                pixels_out[place] = c[p]
+        for p in range(d.shape[0]):
+            place = first + a.shape[0] + b.shape[0] + c.shape[0] + p
+            if place < pixels_out.shape[0]:
+                pixels_out[place] = d[p]
 
-    return copy_kernel
+    return gather_kernel
+
+
+@once
+def _read_kernel(stored: Any, channels: int | None = None) -> Any:
+    """Return the kernel that copies an array from the device to the host, and returns a number."""
+    real = double()
+
+    @ti.kernel
+    def read_kernel(values: flat(stored, channels), scalar: flat(real), values_out: flat(stored, channels)) -> real:
+        for p in range(values.shape[0]):
+            values_out[p] = values[p]
+        return scalar[0]
+
+    return read_kernel
 
 
 def shared(field: DeviceArray) -> Any:
@@ -188,10 +222,14 @@ def clear(array_out: DeviceArray) -> DeviceArray:
 
 
 def numpy(array: DeviceArray) -> NDArray[Any]:
+    return read(array, one())[0]
+
+
+def read(array: DeviceArray, scalar: DeviceArray) -> tuple[NDArray[Any], float]:
     elements = array.values.element_shape
     values: NDArray[Any] = np.empty(array.values.shape + elements, to_numpy_type(array.scalar))
-    run(_copy_kernel(array.scalar, *elements), array, 0, values)  # Taichi's own copy waits twice
-    return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels))
+    number = run(_read_kernel(array.scalar, *elements), array, scalar, values)  # Taichi's own copy waits twice
+    return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels)), float(number)
 
 
 def number(scalar: DeviceArray) -> float:

@@ -26,14 +26,15 @@ def _kernels() -> SimpleNamespace:
 
     @ti.kernel
     def add_kernel(residual: numbers, tolerance: real, state: numbers, trace_out: numbers, go_on_out: numbers):
-        last = ti.cast(state[_LENGTH], ti.i32)
-        go_on_out[0] = 0.0
-        if last < trace_out.shape[0]:
+        if go_on_out[0] > 0.0:
+            last = ti.cast(state[_LENGTH], ti.i32)
             relative = ti.sqrt(ti.max(residual[0], ti.cast(0.0, real)) / state[_NORM])
             trace_out[last] = relative
             state[_LENGTH] = ti.cast(last + 1, real)
-            if relative > tolerance and last + 1 < trace_out.shape[0]:
-                go_on_out[0] = 1.0
+            if not (relative > tolerance and last + 1 < trace_out.shape[0]):
+                go_on_out[0] = 0.0
+        else:
+            go_on_out[0] = go_on_out[0] - 1.0
 
     return SimpleNamespace(begin=begin_kernel, add=add_kernel)
 

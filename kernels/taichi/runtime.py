@@ -20,6 +20,8 @@ from lfgpu.errors import BackendError
 from lfgpu.threads import get_threads
 from lfgpu.vulkan import choose
 
+from .wide_loops import in_threads
+
 TASK = 512
 """Taichi gives each thread of a CPU at least so many iterations of a loop.
 
@@ -117,7 +119,8 @@ def run(kernel: Any, *arguments: Any) -> Any:
         if key in _prepared:
             return _prepared[key](*arguments)
         values = tuple(each.values if isinstance(each, DeviceArray) else each for each in arguments)
-        number = kernel(*values)
+        with in_threads(_threads()) if _running() == "vulkan" else contextlib.nullcontext():
+            number = kernel(*values)
         _prepared[key] = _prepare(primal, values)
         return number
 
@@ -187,6 +190,15 @@ def double() -> Any:
     """Return the type of numbers and of sums over the whole picture: float64, or float32 where a GPU has no other."""
     running = _running()
     return ti.f32 if running == "metal" or (running == "vulkan" and not choose().has_doubles) else ti.f64
+
+
+@cache
+def _threads() -> int:
+    """Return how many threads make a loop on Vulkan: more than a large GPU keeps, elsewhere as many as Taichi starts.
+
+    Fewer would not do: Mesa's driver for the CPU ends the loops of a thread after 65535 turns in all.
+    """
+    return 2**19 if choose().has_own_memory else 2**17
 
 
 @cache

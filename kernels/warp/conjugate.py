@@ -29,6 +29,7 @@ def _move_kernel(
     preconditioner: wp.array(dtype=float),
     rz: wp.array(dtype=wp.float64),
     parts: wp.array(dtype=wp.float64),
+    go_on: wp.array(dtype=wp.float64),
     threads: int,
     x: wp.array(dtype=float),
     r: wp.array(dtype=float),
@@ -38,7 +39,7 @@ def _move_kernel(
     block, thread = wp.tid()
     pq = _sum_of(parts, thread)
     alpha = float(0.0)
-    if pq != wp.float64(0.0):
+    if pq != wp.float64(0.0) and go_on[0] > wp.float64(0.0):
         alpha = float(rz[0] / pq)
     total = wp.float64(0.0)
     for i in range(block * wp.block_dim() + thread, x.shape[0], threads):
@@ -84,7 +85,7 @@ def _parts(device: str) -> Any:
     return [wp.empty(_BLOCKS + 1, dtype=wp.float64, device=device) for _ in range(2)]
 
 
-def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any) -> None:
+def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any, go_on: Any) -> None:
     device = p.device
     fields = flat(p), flat(q), flat(preconditioner), flat(x), flat(r)
     p, q, preconditioner, x, r = fields
@@ -92,9 +93,10 @@ def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any)
     if device.is_cpu:
         pq = along[:1]
         dot(p, q, pq)
-        launch(_step_on_cpu_kernel(), 1, [pq, q, preconditioner, rz, p, x], [r], device=device)
+        launch(_step_on_cpu_kernel(), 1, [pq, q, preconditioner, go_on, rz, p, x], [r], device=device)
         return
     threads, options = _BLOCKS * BLOCK, {"dim": [_BLOCKS], "block_dim": BLOCK, "device": device}
     launch_tiles(partial_dot_kernel, inputs=[p, q, threads], outputs=[along], **options)
-    launch_tiles(_move_kernel, inputs=[p, q, preconditioner, rz, along, threads], outputs=[x, r, left], **options)
+    moved = [p, q, preconditioner, rz, along, go_on, threads]
+    launch_tiles(_move_kernel, inputs=moved, outputs=[x, r, left], **options)
     launch_tiles(_turn_kernel, inputs=[r, preconditioner, left, threads], outputs=[p, rz], **options)

@@ -19,7 +19,7 @@ def _continue_kernel(
     go_on: wp.array(dtype=wp.float64), most: int, count: wp.array(dtype=int), more: wp.array(dtype=int)
 ):
     more[0] = 0
-    if go_on[0] != wp.float64(0.0) and count[0] < most:
+    if go_on[0] > wp.float64(0.0) and count[0] < most:
         more[0] = 1
         count[0] = count[0] + 1
 
@@ -38,7 +38,7 @@ def repeat(body: Callable[[], None], go_on: Any, most: int, *, at_once: int = 1)
     count, more = _counters(go_on.ptr, device.alias)
     if not device.is_capturing:
         for _ in range(most):
-            if number(go_on) == 0:
+            if number(go_on) <= 0:
                 return
             body()
         return

@@ -334,6 +334,10 @@ def number(scalar: Any) -> float:
         return float(scalar.numpy()[0])
 
 
+def read(array: Any, scalar: Any) -> tuple[NDArray[Any], float]:
+    return numpy(array), number(scalar)  # the second one finds the device done
+
+
 def _bytes(array: Any) -> Any:
     """Return the bytes of a contiguous array on a GPU."""
     count = array.size * wp.types.type_size_in_bytes(array.dtype)

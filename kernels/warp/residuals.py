@@ -32,14 +32,15 @@ def _add_kernel(
     trace_out: wp.array(dtype=wp.float64),
     go_on_out: wp.array(dtype=wp.float64),
 ):
+    if go_on_out[0] <= wp.float64(0.0):
+        go_on_out[0] = go_on_out[0] - wp.float64(1.0)
+        return
     left = wp.where(residual[0] < wp.float64(0.0), wp.float64(0.0), residual[0])  # what is not a number stays visible
     relative = wp.sqrt(left / norm[0])
     trace_out[length[0]] = relative
     length[0] = length[0] + 1
-    go_on = wp.float64(0.0)
-    if relative > tolerance and length[0] < trace_out.shape[0]:
-        go_on = wp.float64(1.0)
-    go_on_out[0] = go_on
+    if not (relative > tolerance and length[0] < trace_out.shape[0]):
+        go_on_out[0] = wp.float64(0.0)
 
 
 class _Residuals:

@@ -31,11 +31,12 @@ class Control(Protocol):
         """
 
     def repeat(self, body: Callable[[], None], go_on: Scalar, most: int, *, at_once: int = 1) -> None:
-        """Call `body` as long as `go_on` is not 0, which is looked at before each call, and at most `most` times.
+        """Call `body` as long as `go_on` is positive, which is looked at before each call, and at most `most` times.
 
-        Where the host would wait for a GPU to look, it looks before every `at_once`-th call only.
-        `body` asks for operations only, and one of them sets `go_on`. While work is captured (`capture`) the device
-        itself repeats it.
+        With `at_once` > 1, a host that would wait for a GPU to look may look less often: about every `at_once`-th
+        call, or first after as many as it took last time. Then `body` must change nothing once `go_on` is 0, but take 1
+        from it. `body` asks for operations only, and one of them sets `go_on`. While work is captured (`capture`) the
+        device itself repeats it.
         """
 
     def capture(self, work: Callable[[], None], device: str) -> Callable[[], None] | None:

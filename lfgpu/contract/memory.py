@@ -55,3 +55,6 @@ class Memory(Protocol):
 
     def number(self, scalar: Scalar) -> float:
         """Read a scalar; wait for the device."""
+
+    def read(self, array: Array, scalar: Scalar) -> tuple[NDArray[Any], float]:
+        """Do what `numpy` and `number` do, but wait for the device once."""

@@ -43,14 +43,14 @@ class Vectors(Protocol):
 class Residuals(Protocol):
     """Residuals of a linear solver after each iteration, and its stopping rule, on a device."""
 
-    go_on: Scalar  # 1 while there is something to do, else 0
+    go_on: Scalar  # 1 while there is something to do; then 0, and 1 less with each iteration that does nothing
 
     def begin(self, norm: Scalar) -> None:
         """Forget everything; residuals are relative to `norm`, or to 1 if that is 0."""
 
     def add(self, residual: Scalar) -> None:
-        """Add sqrt(max(residual, 0) / norm) to the trace; `go_on` becomes 1 if it is larger than the tolerance and less
-        than `most` + 1 are there, else 0.
+        """Add sqrt(max(residual, 0) / norm) to the trace; `go_on` becomes 0 unless it is larger than the tolerance and
+        less than `most` + 1 are there. Once `go_on` is 0 or less, take 1 from it and add nothing.
         """
 
     def report(self) -> list[float]:
@@ -65,7 +65,7 @@ class Lbfgs(Protocol):
     that `begin` is given, x is measured in 1 / √c and the gradient in √c, in inner products and in the recursion.
     """
 
-    go_on: Scalar  # 1 while there is something to do, else 0
+    go_on: Scalar  # 1 while there is something to do; then 0, or less as in `Residuals`
 
     def begin(self, x: Array, gradient: Array, value: Scalar, curvature: Array | None = None) -> None:
         """Forget everything; the first direction is against the gradient where the bounds leave it free.
@@ -84,7 +84,7 @@ class Lbfgs(Protocol):
         (see `solvers/lbfgs.py`) or as long as it may be. Not accepted, the step shrinks to the minimum of the parabola
         through both values and the slope, but between 0.1 and 0.5 of what it was; `go_on` becomes 0 after 20 in a row.
 
-        Where hosts look at `go_on` seldom (`repeat`), it accepts and counts nothing once that is 0.
+        Where hosts look at `go_on` seldom (`repeat`), it accepts nothing once that is 0 or less, and takes 1 from it.
         """
 
     def learn(self, x: Array, gradient: Array, trial: Array, trial_gradient: Array) -> None:
@@ -105,12 +105,15 @@ class Solvers(Protocol):
     def residuals(self, device: str, *, tolerance: float, most: int) -> Residuals:
         """Plan the bookkeeping of an iterative linear solver that makes at most `most` iterations."""
 
-    def conjugate_step(self, p: Array, q: Array, preconditioner: Array, rz: Scalar, x: Array, r: Array) -> None:
-        """Take a step of conjugate gradients for A x = b in place; all but `rz` are fields [y, x], each another one.
+    def conjugate_step(
+        self, p: Array, q: Array, preconditioner: Array, rz: Scalar, x: Array, r: Array, go_on: Scalar
+    ) -> None:
+        """Take a step of conjugate gradients for A x = b in place; all but `rz` and `go_on` are fields [y, x].
 
         p is the direction, q = A p, M the diagonal `preconditioner`, r = b - A x and rz = rᵀ M r. With α = rz / pᵀ q,
         x += α p and r -= α q. Then rz becomes rᵀ M r, and p becomes M r + β p with β the new rz over the old one. Where
-        a denominator is 0, α or β is 0. Inner products are accumulated in float64.
+        a denominator is 0, α or β is 0. Where `go_on` is not positive, α is 0: x and r stay. Inner products are
+        accumulated in float64.
         """
 
     def lbfgs(

@@ -64,8 +64,12 @@ class Plan(Protocol):
     def stages(self, views: Array) -> dict[str, Work]:
         """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
 
-    def check(self, name: str) -> None:
-        """Raise LightFieldError, which names `name`, if the last run found no estimate; waits for the device."""
+    @property
+    def trust(self) -> Scalar:
+        """A number on the device: 0 if the last run found no estimate."""
+
+    def check(self, name: str, trust: float) -> None:
+        """Raise LightFieldError, which names `name`, if that number says that the last run found no estimate."""
 
     def is_finite(self) -> bool:
         """Tell whether all numbers of the last run were finite; waits for the device."""

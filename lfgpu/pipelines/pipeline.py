@@ -278,8 +278,7 @@ class DepthPipeline:
         LightFieldError
             If there was no run, if the views showed too little, or if they came from a GPU and were not finite.
         """
-        self._check()
-        return self._map(self._plan.disparity)
+        return self._checked_disparity()
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run all stages and return the result; waits for the device.
@@ -306,7 +305,7 @@ class DepthPipeline:
             if stage == self.method.MATCHED and self._runs == 0:
                 self._widen(stage, on_progress)
             if stage == self._plan.decided:
-                self._plan.check(self._lf.name)
+                self._plan.check(self._lf.name, self.kernels.number(self._plan.trust))
 
     def _follow_at_once(self) -> None:
         """Run all stages, and wait for the last only; again those after the first one, if that takes a wider range."""
@@ -343,10 +342,10 @@ class DepthPipeline:
 
         Its notes are those that the map alone gives; `lfgpu.judged` adds the verdict of the views.
         """
-        self._check()
+        disparity = self._checked_disparity()
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
         position = lf.positions[lf.reference_index]
-        disparity, confidence = self._map(self._plan.disparity), self._map(self._plan.confidence)
+        confidence = self._map(self._plan.confidence)
         return DepthResult(
             disparity=disparity,
             confidence=confidence,
@@ -451,13 +450,15 @@ class DepthPipeline:
     def _map(self, field: Array) -> Float32Array:
         return self.kernels.numpy(field).astype(np.float32, copy=False)
 
-    def _check(self) -> None:
+    def _checked_disparity(self) -> Float32Array:
         if not self._is_whole:
             state = "the last estimate did not come to its end" if self._runs else "nothing has been estimated yet"
             raise LightFieldError(f"{self._lf.name}: {state}; call run() or estimate() first.")
         if self._unseen and not self._plan.is_finite():
             raise LightFieldError(_NOT_FINITE)
-        self._plan.check(self._lf.name)
+        disparity, trust = self.kernels.read(self._plan.disparity, self._plan.trust)
+        self._plan.check(self._lf.name, trust)
+        return disparity.astype(np.float32, copy=False)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

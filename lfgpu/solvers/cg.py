@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from lfgpu.contract import Array, Device
 from lfgpu.solvers.solution import Solution
 
-_AT_ONCE = 8  # iterations: those past the tolerance only come nearer to the solution
+_AT_ONCE = 8  # iterations: those past the tolerance change nothing, but each takes its time
 
 
 class ConjugateGradients:
@@ -45,15 +45,23 @@ class ConjugateGradients:
         k.dot(r, p, self._rz)
         self._residuals.add(self._rz)
 
+        told, go_on = 0, self._residuals.go_on
+
+        def tell(listener: Callable[[int, float], None]) -> None:
+            nonlocal told
+            trace = self._residuals.report()
+            if len(trace) - 1 > told:  # past the tolerance nothing happens
+                told = len(trace) - 1
+                listener(told, trace[-1])
+
         def iterate() -> None:
             apply(p, q)
-            k.conjugate_step(p, q, preconditioner, self._rz, x, r)
+            k.conjugate_step(p, q, preconditioner, self._rz, x, r, go_on)
             self._residuals.add(self._rz)
             if callback is not None:
-                trace = self._residuals.report()
-                callback(len(trace) - 1, trace[-1])
+                tell(callback)
 
-        k.repeat(iterate, self._residuals.go_on, self._most, at_once=_AT_ONCE)
+        k.repeat(iterate, go_on, self._most, at_once=_AT_ONCE)
 
     def report(self) -> Solution:
         """Report the outcome of the last solve; waits for the device."""

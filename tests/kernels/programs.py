@@ -164,13 +164,32 @@ PROGRAMS: tuple[MakeProgram, ...] = (counting, solving, minimizing, comparing)
 
 
 def check_repeat(kernels: KernelSet, device: str) -> None:
-    """The body runs as often as `go_on` says, which is looked at before each call, but at most `most` times."""
+    """The body runs while `go_on` is positive, which is looked at before each call, but at most `most` times."""
     for left, most in ((0, 5), (1, 5), (3, 5), (5, 5), (9, 5), (3, 0), (-1, 2)):
         program = counting(kernels, device, {"left": np.full((1, 1), float(left))}, most)
         program.work()
         calls = float(program.read(kernels)["calls"][0, 0])
-        want = most if left < 0 else min(left, most)
+        want = max(0, min(left, most))
         assert calls == want, f"repeat called its body {calls:g} times, not {want} (to do: {left}, most: {most})"
+
+
+def check_repeat_looks_seldom(kernels: KernelSet, device: str) -> None:
+    """Loops one after the other, in which the host may go on for a while, end where each of them should."""
+    trace = kernels.residuals(device, tolerance=2.0**-9, most=12)
+    number, norm = (kernels.scalar(1.0, device) for _ in range(2))
+
+    def halve() -> None:
+        kernels.axpby(0.25, number, 0.0, number, number)  # the trace has its root
+        trace.add(number)
+
+    for start in (0, 0, 9, 4, 3, 5, 5, -5, 8, 2):
+        kernels.copy(kernels.scalar(4.0**-start, device), number)
+        trace.begin(norm)
+        trace.add(number)
+        kernels.repeat(halve, trace.go_on, 12, at_once=3)
+        want = [2.0**-k for k in range(start, 10)][:13]
+        assert trace.report() == want, f"a loop from {want[0]} to {want[-1]} ended at {trace.report()[-1]}"
+        assert kernels.number(trace.go_on) <= 0, "there is nothing to do any more, but the loop would go on"
 
 
 def check_program(kernels: KernelSet, device: str, make: MakeProgram, values: dict[str, Values]) -> None:

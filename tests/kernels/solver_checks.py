@@ -200,7 +200,8 @@ def residuals(desk: Desk, i: SimpleNamespace) -> Outputs:
     """The trace, and after each residual whether to go on, after another system, which leaves no trace."""
     plan, number = desk.kernels.residuals(desk.device, tolerance=i.tolerance, most=i.most), desk.kernels.number
     plan.begin(desk.number(0.5))
-    plan.add(desk.number(1e9))
+    for residual in (1e9, 0.0, 0.0, 0.0):
+        plan.add(desk.number(residual))
     norm, go_on = desk.number_out(i.norm), []
     plan.begin(norm)
     desk.kernels.copy(desk.number(1e9), norm)  # what becomes of the number afterwards does not matter

@@ -62,15 +62,19 @@ def weights(i: SimpleNamespace) -> Values:
 
 
 def conjugate_step(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """A step of a system that is a diagonal, and one along nothing, from nothing."""
+    """A step of a system that is a diagonal, one along nothing, from nothing, and one when there is nothing to do."""
     kernels, shape = desk.kernels, i.x.shape
     preconditioner, q = desk.field(weights(i)), desk.field((1 + np.abs(i.holes)) * i.x)
     rz = desk.number_out(float(np.sum(weights(i).astype(np.float64) * i.y.astype(np.float64) ** 2)))
     p, x, r = desk.held(i.x), desk.held(i.x[::-1]), desk.held(i.y)
-    kernels.conjugate_step(p, q, preconditioner, rz, x, r)
+    kernels.conjugate_step(p, q, preconditioner, rz, x, r, desk.number(1.0))
     still, at, left, none = desk.held(np.zeros(shape)), desk.held(i.x), desk.held(i.y), desk.number_out(0.0)
-    kernels.conjugate_step(still, q, preconditioner, none, at, left)
+    kernels.conjugate_step(still, q, preconditioner, none, at, left, desk.number(1.0))
     out = {"p": p, "x": x, "r": r, "rz": kernels.number(rz)}
+    done_x, done_r, along = desk.held(i.x[::-1]), desk.held(i.y), desk.held(i.x)
+    for done in (0.0, -1.0):
+        kernels.conjugate_step(along, q, preconditioner, desk.number_out(1.0), done_x, done_r, desk.number(done))
+    out |= {"done x": done_x, "done r": done_r}
     return {**out, "still": still, "at": at, "left": left, "from 0": kernels.number(none)}
 
 
@@ -165,6 +169,7 @@ def memory(desk: Desk, i: SimpleNamespace) -> Outputs:
     desk.kernels.numpy(field)[:] = 9.0
     zeros = desk.kernels.zeros(i.x.shape, desk.device)
     number = desk.kernels.number(desk.number(i.alpha))
+    read, beside = desk.kernels.read(field, desk.number(i.beta))
     cleared = desk.kernels.clear(desk.kernels.field(i.x, desk.device))
     return {
         "field": field,
@@ -173,6 +178,8 @@ def memory(desk: Desk, i: SimpleNamespace) -> Outputs:
         "zeros": zeros,
         "cleared": cleared,
         "number": number,
+        "read": read.ravel().tolist(),
+        "number beside": beside,
     }
 
 

@@ -35,4 +35,5 @@ CHECKS = (
     Check("", vector_checks.check_dot_in_double),
     Check("vector", vector_checks.check_numbers_in_double),
     Check("control", programs.check_repeat),
+    Check("control", programs.check_repeat_looks_seldom),
 )

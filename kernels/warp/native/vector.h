@@ -44,10 +44,10 @@ void find_products(int tid, State state, Array3<float> stack, int row, Array2<do
 
 // A step of conjugate gradients, once pᵀ q is known.
 void conjugate_step(
-    Array1<double> pq, Array1<float> q, Array1<float> preconditioner, Array1<double> rz, Array1<float> p,
-    Array1<float> x, Array1<float> r) {
+    Array1<double> pq, Array1<float> q, Array1<float> preconditioner, Array1<double> go_on, Array1<double> rz,
+    Array1<float> p, Array1<float> x, Array1<float> r) {
     const size_t size = x.shape[0];
-    const float alpha = pq.data[0] != 0.0 ? (float)(rz.data[0] / pq.data[0]) : 0.f;
+    const float alpha = pq.data[0] != 0.0 && go_on.data[0] > 0.0 ? (float)(rz.data[0] / pq.data[0]) : 0.f;
     const float* __restrict__ const a = p.data;
     const float* __restrict__ const b = q.data;
     const float* __restrict__ const m = preconditioner.data;

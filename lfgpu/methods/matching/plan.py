@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import Array, Device, Float32Array
+from lfgpu.contract import Array, Device, Float32Array, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.arena import Arena
@@ -88,9 +88,14 @@ class MatchingPlan:
         again: dict[str, Work] = {"resweep": self._sweep_again} if self._sweeps.are_several else {}
         return {"sweep": lambda _: self._sweep(views), **again, "align": self._align, "boundaries": self._finish}
 
-    def check(self, name: str) -> None:
-        """Raise LightFieldError, which names `name`, if the last run found no estimate; waits for the device."""
-        if not self._kernels.number(self._alignment.trust) > 0:
+    @property
+    def trust(self) -> Scalar:
+        """A number on the device: 0 if the last run found no estimate."""
+        return self._alignment.trust
+
+    def check(self, name: str, trust: float) -> None:
+        """Raise LightFieldError, which names `name`, if that number says that the last run found no estimate."""
+        if not trust > 0:
             raise LightFieldError(
                 f"{name}: no pixel shows anything that other views show as well: the views have no texture, are "
                 "masked, or the disparity range is wrong; give another one."

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lfgpu.config import Section
-from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients
+from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -151,9 +151,14 @@ class SynthesisPlan:
             "refine": lambda callback: self._refine(views, callback),
         }
 
-    def check(self, name: str) -> None:
-        """Raise LightFieldError, which names `name`, if the last run found no estimate; waits for the device."""
-        if self._kernels.number(self._propagation.trusted) == 0:
+    @property
+    def trust(self) -> Scalar:
+        """A number on the device: 0 if the last run found no estimate."""
+        return self._propagation.trusted
+
+    def check(self, name: str, trust: float) -> None:
+        """Raise LightFieldError, which names `name`, if that number says that the last run found no estimate."""
+        if trust == 0:
             raise LightFieldError(
                 f"{name}: no pixel has a coherent estimate within the disparity range: the views have no texture, are "
                 "masked, or the range is wrong; give another range, or lower local.coherence_threshold."
