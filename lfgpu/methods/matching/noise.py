@@ -16,7 +16,7 @@ from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
 from lfgpu.methods.matching.disparities import compared_disparities
-from lfgpu.methods.matching.frame import Frame
+from lfgpu.methods.matching.frame import ROOM, Frame
 from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
 from lfgpu.methods.measured import Shown, Typical, load_window
@@ -124,8 +124,10 @@ def measured_noise(
     """
     chosen, window = used_views(lf.offsets, "cross"), _middle(lf, _SAMPLE)
     layout = lf.layout.subset(chosen).crop(*window)
-    numbers = None if device.is_gpu and device.kernels.changing else (bounds, deviation)  # which cannot change then
-    compared = compared_disparities(bounds, layout.farthest, config.sweep)
+    follows = device.is_gpu and device.kernels.changing is not None
+    numbers = None if follows else (bounds, deviation)  # which cannot change then
+    room = ROOM["gpu"] if follows else 1
+    compared = compared_disparities(bounds, layout.farthest, config.sweep, multiple=room)
     sweep = device.kept(
         "noise",
         (config, compared.slices, compared.step, deviation is None, layout.shape, numbers),
@@ -147,7 +149,7 @@ class _FirstSweep:
         deviation: float | None,
     ) -> None:
         arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout, layout.farthest)
-        self._frame = Frame(arena, chosen, bounds, config, deviation=deviation, multiple=1)
+        self._frame = Frame(arena, chosen, bounds, config, deviation=deviation)
         self._swept, self._kernels = self._frame.swept("all"), device.kernels
         self._cost = PlaneSweepCost(self._swept, first_cost(config))
         self.views = device.zeros_image(layout.shape, layout.dtype.type)
@@ -162,6 +164,9 @@ class _FirstSweep:
         self._frame.load(self.views)
         self._swept.load()
         self._cost.by_view_sets(volume)
+        compared = self._frame.disparities
+        if compared.count < compared.slices:
+            volume = volume[: compared.count]
         kernels.least_costs(volume, least_out=least)
         kernels.axpby(-1.0, volume, 0.0, volume, volume)
         kernels.least_costs(volume, least_out=spread)
