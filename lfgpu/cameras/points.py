@@ -160,7 +160,7 @@ def strongest(
     if len(keys) > most:
         starts = np.searchsorted(keys, np.arange(_TILES**2 + 1, dtype=np.uint64) << _TILE)
         counts = np.diff(starts)
-        rank = every * np.arange(max(1, most // np.count_nonzero(counts)))
+        rank = every * np.arange(max(1, most // int(np.count_nonzero(counts))))
         keys = keys[(starts[:-1, None] + rank)[rank < counts[:, None]]]
     order = (keys & (np.uint64(1) << room) - np.uint64(1)).astype(np.intp)
     return rows[order], columns[order], (keys >> _TILE).astype(np.intp)
