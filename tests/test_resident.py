@@ -90,7 +90,7 @@ def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: p
     monkeypatch.setattr(DepthPipeline, "_replan", lambda *given: (made.append("plan"), replan(*given)))
     monkeypatch.setattr(kernels, "capture", lambda work, device: (made.append("graph"), work)[1])
     monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))  # so that all stages run as one graph
-    monkeypatch.setitem(frame.ROOM, "gpu", 1)
+    monkeypatch.setitem(frame._ROOM, "gpu", 1)
     alone = []
     for lf in fields:
         KEPT.free()
@@ -100,7 +100,7 @@ def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: p
     assert len({round(high - low, 1) for low, high in ranges}) > 1
     KEPT.free()
     made.clear()
-    monkeypatch.setitem(frame.ROOM, "gpu", 64)
+    monkeypatch.setitem(frame._ROOM, "gpu", 64)
     for lf, result in zip((fields[0], *fields), (alone[0], *alone), strict=True):
         assert_equal(lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False), result)
     counts = [0]  # the volumes of a network hold all disparities that it compares, and no others
@@ -116,7 +116,7 @@ def test_what_is_measured_again_needs_no_memory(config: Any, monkeypatch: pytest
     fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005), (0, 0.02))]
     want = [method_of(config).measure(lf, open_device(device="cpu")) for lf in fields]
     monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))
-    monkeypatch.setitem(frame.ROOM, "gpu", 64)
+    monkeypatch.setitem(frame._ROOM, "gpu", 64)
     sweeps: list[str] = []
     first_sweep = noise._FirstSweep
     monkeypatch.setattr(noise, "_FirstSweep", lambda *given: (sweeps.append("planned"), first_sweep(*given))[1])

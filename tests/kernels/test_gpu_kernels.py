@@ -87,7 +87,7 @@ def test_a_plan_follows_other_numbers(gpu: KernelSet, preset: str, monkeypatch: 
     used = method.used_views(one.offsets)
     layout = one.layout.subset(used)
     want = maps(method.plan(layout, measured[1], place), other)
-    monkeypatch.setitem(frame.ROOM, "cpu", 64)
+    monkeypatch.setitem(frame._ROOM, "cpu", 64)
     plan = method.plan(layout, measured[0], place)
     maps(plan, one)
     assert plan.follow(measured[1])

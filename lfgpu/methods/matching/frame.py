@@ -20,8 +20,7 @@ from lfgpu.methods.matching.views import VIEWS, ChosenViews
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.methods.sections import PriorConfig
 
-ROOM = {"cpu": 1, "gpu": 8}
-"""Disparities: volumes have room for a multiple of so many, so that light fields share plans and captured work."""
+_ROOM = {"cpu": 1, "gpu": 8}  # disparities: volumes have room for a multiple, so that light fields share captured work
 
 
 class KnownPixels:
@@ -81,7 +80,7 @@ class Frame:
         layout, image = chosen.used, (*chosen.used.size, chosen.used.channels)
         self.arena, self.kernels, self.config, self.bounds = arena, arena.kernels, config, bounds
         self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
-        room = 1 if arena.changing is None else ROOM["gpu" if arena.device.is_gpu else "cpu"]
+        room = 1 if arena.changing is None else _ROOM["gpu" if arena.device.is_gpu else "cpu"]
         self._multiple = multiple or room
         self.reach = chosen.reach
         """The distance of the farthest views from which sweeps choose, view steps."""

@@ -15,8 +15,7 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
-from lfgpu.methods.matching.disparities import compared_disparities
-from lfgpu.methods.matching.frame import ROOM, Frame
+from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
 from lfgpu.methods.measured import Shown, Typical, load_window
@@ -124,17 +123,15 @@ def measured_noise(
     """
     chosen, window = used_views(lf.offsets, "cross"), _middle(lf, _SAMPLE)
     layout = lf.layout.subset(chosen).crop(*window)
-    follows = device.is_gpu and device.kernels.changing is not None
-    numbers = None if follows else (bounds, deviation)  # which cannot change then
-    room = ROOM["gpu"] if follows else 1
-    compared = compared_disparities(bounds, layout.farthest, config.sweep, multiple=room)
+    numbers = None if device.is_gpu and device.kernels.changing else (bounds, deviation)  # which cannot change then
     sweep = device.kept(
         "noise",
-        (config, compared.slices, compared.step, deviation is None, layout.shape, numbers),
+        (config, layout.shape, numbers),
         lambda: _FirstSweep(device, layout, bounds, config, deviation),
+        lambda sweep: sweep.follow(bounds, config, deviation),
     )
     load_window(lf, chosen, *window, device, shown, views_out=sweep.views)
-    return sweep(bounds, config, deviation)
+    return sweep()
 
 
 class _FirstSweep:
@@ -157,10 +154,14 @@ class _FirstSweep:
         self._volume = device.zeros((self._frame.disparities.slices, *layout.size))
         self._least, self._spread = (device.zeros(layout.size) for _ in range(2))
         self._typical = Typical(device)
+        arena.follow()
 
-    def __call__(self, bounds: tuple[float, float], config: MatchingConfig, deviation: float | None) -> float:
+    def follow(self, bounds: tuple[float, float], config: MatchingConfig, deviation: float | None) -> bool:
+        """Go on with other numbers; tell whether that is possible."""
+        return self._frame.follow(bounds, config, deviation=deviation)
+
+    def __call__(self) -> float:
         kernels, volume, least, spread = self._kernels, self._volume, self._least, self._spread
-        self._frame.follow(bounds, config, deviation=deviation)
         self._frame.load(self.views)
         self._swept.load()
         self._cost.by_view_sets(volume)
