@@ -18,7 +18,7 @@ from lfgpu.contract import Device
 from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
-from lfgpu.methods.matching import frame
+from lfgpu.methods.matching import frame, noise
 from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT, _return_memory, kept_memory, set_kept_memory
@@ -114,10 +114,17 @@ def test_what_is_measured_again_needs_no_memory(config: Any, monkeypatch: pytest
     fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005), (0, 0.02))]
     want = [method_of(config).measure(lf, open_device(device="cpu")) for lf in fields]
     monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))
+    monkeypatch.setitem(frame._ROOM, "gpu", 64)
+    sweeps: list[str] = []
+    first_sweep = noise._FirstSweep
+    monkeypatch.setattr(noise, "_FirstSweep", lambda *given: (sweeps.append("planned"), first_sweep(*given))[1])
     pipeline = DepthPipeline(fields[0], config=config, device="cpu")
+    sweeps.clear()
     for lf, measured in zip(fields, want, strict=True):
         pipeline.take(lf)
         assert pipeline.measured == measured
+    assert len({measured.disparity_range for measured in want}) == 3
+    assert not sweeps  # all of them fit into what was planned for the first
     for name in ("zeros", "zeros_image", "field", "image", "scalar"):
         monkeypatch.setattr(load(), name, None)
     pipeline.take(replace(fields[3]))

@@ -366,7 +366,7 @@ def _directions(picture: NDArray[np.float32]) -> NDArray[np.complex64]:
 def spread(residuals: Float64Array, seen: Float64Array) -> float:
     """Estimate the standard deviation of the residuals [n, p] that count, robustly; 0.003 at least."""
     counted = np.abs(residuals[seen > 0])
-    return max(_LEAST_NOISE, 1.4826 * float(np.median(counted))) if len(counted) else _LEAST_NOISE
+    return max(_LEAST_NOISE, 1.4826 * consensus.median(counted)) if len(counted) else _LEAST_NOISE
 
 
 def spreads(residuals: Float64Array, seen: Float64Array) -> Float64Array:

@@ -18,6 +18,13 @@ MANY = 25
 """Views from which a smooth trend over the array is taken out before outliers are looked for."""
 
 
+def median(values: Float64Array) -> float:
+    """Find the median of values [n], none of them NaN: to look for NaN, as NumPy does, takes three times as long."""
+    below, above = (len(values) - 1) // 2, len(values) // 2
+    parts = np.partition(values, below)
+    return float(parts[below] if above == below else (parts[below] + parts[above:].min()) / 2)
+
+
 def without_gauge(shifts: Float64Array, offsets: Float64Array) -> Float64Array:
     """Remove from shifts [n, 2] the part that views cannot tell: all moved alike, or in proportion to their offsets.
 
@@ -86,7 +93,7 @@ def usual_rest(rest: Float64Array) -> float:
     A fit of least absolute deviations passes through as many values as it has parameters; these do not count.
     """
     through = rest.shape[1] * (_TREND if len(rest) >= MANY else 1)
-    return 1.4826 * float(np.median(np.sort(np.abs(rest), axis=None)[through:]))
+    return 1.4826 * median(np.sort(np.abs(rest), axis=None)[through:])
 
 
 def robust_rest(basis: Float64Array, values: Float64Array, rounds: int = _ROUNDS) -> Float64Array:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import reduce
 from typing import Any
@@ -17,6 +16,7 @@ from lfgpu.data.windows import eroded, gradient_size, smoothed, window_max, wind
 
 _TOLERANCE = 1.2  # pixels in the farthest view: a surface that is nearer by less hides nothing
 _TILES = 12  # along the longer side: points are spread over them, and errors within one belong together
+_TILE = np.uint64(56)  # bits below the number of the tile in a key by which points are sorted
 _LEAST_GRADIENT = 0.01  # intensity per pixel: less is no texture
 _EDGE = 1.0  # pixels in the farthest view: where disparities around a point differ by more, it is left out
 _LEAST_STEP, _PLACES = 2, 128  # pixels between windows, at least; windows along the longer side, at most
@@ -47,10 +47,10 @@ def farthest(lf: LightField) -> float:
     return float(np.hypot(*lf.offsets.T).max())
 
 
-def known_pixels(lf: LightField, disparity: NDArray[np.floating]) -> NDArray[np.bool_]:
-    """Find the pixels [y, x] of the reference that are valid and have a disparity."""
-    known = np.isfinite(disparity)
-    return known if lf.valid is None else known & lf.valid[lf.reference_index]
+def known_pixels(lf: LightField, disparity: NDArray[np.floating], rows: slice = slice(None)) -> NDArray[np.bool_]:
+    """Find the pixels [y, x] of the reference, or of some rows, that are valid and have a disparity."""
+    known = np.isfinite(disparity[rows])
+    return known if lf.valid is None else known & lf.valid[lf.reference_index][rows]
 
 
 def choose_points(lf: LightField, disparity: NDArray[np.floating], device: Device, *, most: int) -> Points:
@@ -108,24 +108,30 @@ def some_on_surfaces(
 
     At most about `_PLACES` such windows along each side are looked at.
     """
-    map_, image = disparity.astype(np.float32, copy=False), grey(lf, lf.reference_index)
+    map_, view = disparity.astype(np.float32, copy=False), lf.views[lf.reference_index]
     if lf.valid is not None:
         map_ = np.where(lf.valid[lf.reference_index], map_, np.float32(np.nan))
     step = max(_LEAST_STEP, -(-max(lf.size) // _PLACES))
 
-    def of_windows(join: np.ufunc, values: NDArray[Any], *taken: Sequence[int]) -> NDArray[Any]:
-        """Join some rows of each window, and some columns."""
-        for places in taken:
-            count = max(0, (len(values) - _WINDOW) // step + 1)
-            values = reduce(join, (values[k::step][:count] for k in places)).T
-        return values
+    def rows(values: NDArray[Any], *places: int) -> list[NDArray[Any]]:
+        """Take those rows of each window."""
+        return [values[k::step][: max(0, (len(values) - _WINDOW) // step + 1)] for k in places]
 
-    whole, low, high = range(_WINDOW), (1, 2), (3, 4)
-    spread = of_windows(np.maximum, map_, whole, whole) - of_windows(np.minimum, map_, whole, whole)
-    middle = (*low, *high)
-    across = of_windows(np.add, image, middle, high) - of_windows(np.add, image, middle, low)
-    down = of_windows(np.add, image, high, middle) - of_windows(np.add, image, low, middle)
-    y, x, _ = strongest(np.hypot(across, down) / 16, spread <= _EDGE / farthest(lf), most)
+    whole = range(_WINDOW)
+    nearest, least = (
+        reduce(end, rows(reduce(end, rows(map_, *whole)).T, *whole)).T for end in (np.maximum, np.minimum)
+    )
+
+    def pair(first: int) -> NDArray[np.float32]:
+        """Add two rows of each window, and their colours."""
+        sums = np.add(*rows(view, first, first + 1), dtype=np.uint16 if view.dtype == np.uint8 else np.float32)
+        return reduce(np.add, np.moveaxis(sums, -1, 0)).astype(np.float32, copy=False)
+
+    upper, lower = pair(1), pair(3)
+    left, near_left, near_right, right = rows((upper + lower).T, 1, 2, 3, 4)
+    across, down = right + near_right - near_left - left, reduce(np.add, rows((lower - upper).T, 1, 2, 3, 4))
+    strength = np.hypot(across, down).T * np.float32(lf.scale / (16 * lf.channels))
+    y, x, _ = strongest(strength, nearest - least <= _EDGE / farthest(lf), most)
     return map_, step * y + _WINDOW // 2 - 1, step * x + _WINDOW // 2 - 1
 
 
@@ -150,15 +156,14 @@ def strongest(
     # By tile, and the strongest first: positive numbers are in the order of their bits. The last bits are the place.
     room = np.uint64(max(25, len(rows).bit_length()))
     weakness = np.uint64(2**31 - 1) - strength[rows, columns].view(np.uint32) >> room - np.uint64(25)
-    keys = np.sort(tiles << np.uint64(56) | weakness << room | np.arange(len(rows), dtype=np.uint64))
+    keys = np.sort(tiles << _TILE | weakness << room | np.arange(len(rows), dtype=np.uint64))
+    if len(keys) > most:
+        starts = np.searchsorted(keys, np.arange(_TILES**2 + 1, dtype=np.uint64) << _TILE)
+        counts = np.diff(starts)
+        rank = every * np.arange(max(1, most // int(np.count_nonzero(counts))))
+        keys = keys[(starts[:-1, None] + rank)[rank < counts[:, None]]]
     order = (keys & (np.uint64(1) << room) - np.uint64(1)).astype(np.intp)
-    tiles = tiles[order].astype(np.intp)
-    starts = np.flatnonzero(np.diff(tiles, prepend=-1))
-    share = max(1, most // max(1, len(starts)))
-    rank = np.arange(len(order)) - np.repeat(starts, np.diff([*starts, len(order)]))
-    kept = slice(None) if len(order) <= most else (rank < every * share) & (rank % every == 0)
-    order = order[kept]
-    return rows[order], columns[order], tiles[kept]
+    return rows[order], columns[order], (keys >> _TILE).astype(np.intp)
 
 
 def hidden(

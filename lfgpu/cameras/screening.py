@@ -10,14 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus, findings
 from lfgpu.cameras.bundle import spread, spreads
 from lfgpu.cameras.points import hidden, some_on_surfaces
 from lfgpu.cameras.signs import order_of_depth
-from lfgpu.cameras.surface import Surface, spline_mean
+from lfgpu.cameras.surface import blocks, looked_up, with_slopes
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
 
@@ -29,7 +28,7 @@ _AGREE = 0.2  # pixels: views that differ from the reference by no more than thi
 _ROUNDS, _TREND_ROUNDS = 4, 8  # of robust weights: of points, of views
 _SIDES = 4  # views, those farthest away, in which the order of depth is compared
 _TOLD = 50  # pixels that tell the order of depth; from fewer nobody can tell
-_BAND, _BETTER = 24, 0.5  # rows in the middle that end it, if right cameras leave so much less than the other order
+_BAND, _BETTER = 12, 0.5  # rows in the middle, or twice as many, that end it if the map's order leaves so much less
 _AS_GOOD = 0.7  # of the loss: right cameras leave at most half of what the other order of depth leaves
 
 
@@ -44,22 +43,27 @@ def worth_a_look(
     map_, y, x = some_on_surfaces(lf, disparity, min(max(_IN_ALL // len(index), _LEAST), _MOST))
     if len(x) < _FEWEST:
         return True
-    first = _fault(lf, index, map_, y[::_FIRST], x[::_FIRST])
-    is_off = first > _SURELY_RIGHT and _fault(lf, index, map_, y, x) > 1
+    first = _fault(lf, index, map_, y[::_FIRST], x[::_FIRST])  # so few of which are hidden that they are outliers
+    is_off = first > _SURELY_RIGHT and _fault(lf, index, map_, y, x, hidden(lf, map_, y, x, index)) > 1
     return is_off or _may_be_swapped(lf, index, disparity)
 
 
 def _fault(
-    lf: LightField, index: NDArray[np.intp], map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]
+    lf: LightField,
+    index: NDArray[np.intp],
+    map_: NDArray[np.float32],
+    y: NDArray[np.intp],
+    x: NDArray[np.intp],
+    covered: NDArray[np.bool_] | None = None,
 ) -> float:
     """Measure how far views are out of line, turned, scaled or of other brightness, in units of what is worth a look.
 
-    Noise between the views counts as well: mirrored places leave much of it.
+    Noise between the views counts as well: mirrored places leave much of it. Points that are `covered` [n, p] do not.
     """
     offsets, radius = lf.offsets[index], float(np.hypot(*lf.size)) / 2
-    value, sees = _shown(lf, index, map_, y, x)
-    surface = Surface(lf.views[lf.reference_index], lf.scale)
-    template, by_x, by_y = surface(x.astype(np.float64), y.astype(np.float64))
+    value, inside = _shown(lf, index, map_, y, x)
+    sees = (inside if covered is None else inside & ~covered).astype(np.float64)
+    template, by_x, by_y = with_slopes(lf, y, x)
     parallax = offsets @ np.stack([by_x, by_y])
     middle = (np.array(lf.size[::-1]) - 1) / 2
     across, down = (x - middle[0]) / radius, (y - middle[1]) / radius
@@ -77,17 +81,19 @@ def _fault(
         left -= found @ jacobian.T
         noise = spread(left, sees)
         weight = sees / (1 + (left / (3 * noise)) ** 2) ** 2
-    slope = float(np.median(np.hypot(by_x, by_y)))
+    slope = consensus.median(np.hypot(by_x, by_y))
     shift = found[:, :2]
     if len(offsets) < consensus.MANY:  # else it is a part of the trend
         shift = consensus.without_gauge(shift, offsets)
-    level = float(np.clip(np.median(template), 0.02, 1.0))
+    level = float(np.clip(consensus.median(template), 0.02, 1.0))
     bright = found[:, 4:5] + found[:, 5:] / level
-    trends = consensus.smooth_rest(np.concatenate([shift, found[:, 2:4], bright], axis=1), offsets, _TREND_ROUNDS)
-    shift, shape, bright = np.split(trends, [2, 4], axis=1)  # shape: at the half diagonal, pixels
+    misfit = spreads(left, sees)[:, None] / slope
+    each = np.concatenate([shift, found[:, 2:4], bright, misfit], axis=1)
+    trends = consensus.smooth_rest(each, offsets, _TREND_ROUNDS)
+    shift, shape, bright, misfit = np.split(trends, [2, 4, 5], axis=1)  # shape: at the half diagonal, pixels
     sizes = (
         (noise, 2 * _AGREE * slope),
-        (consensus.smooth_rest(spreads(left, sees)[:, None] / slope, offsets, _TREND_ROUNDS).max(), consensus.UNLIKE),
+        (misfit.max(), consensus.UNLIKE),
         (np.linalg.norm(shift, axis=1).max(), findings.MOVED),
         (consensus.usual_rest(shift), findings.OUT_OF_LINE),
         (np.abs(shape).max(), findings.TURNED),
@@ -99,26 +105,27 @@ def _fault(
 
 def _shown(
     lf: LightField, index: NDArray[np.intp], map_: NDArray[np.float32], y: NDArray[np.intp], x: NDArray[np.intp]
-) -> tuple[Float64Array, Float64Array]:
-    """Look up the values of views [n] at the points, smoothed, and 1 where they see them, [n, p]."""
+) -> tuple[Float64Array, NDArray[np.bool_]]:
+    """Look up the values of views [n] at the points, smoothed, and whether these are within their frames, [n, p]."""
     (du, dv), (height, width) = lf.offsets[index].T[..., None], lf.size
     d = map_[y, x].astype(np.float64)
     at_x, at_y = x - d * du, y - d * dv
-    sees = (at_x >= 1) & (at_x < width - 2) & (at_y >= 1) & (at_y < height - 2) & ~hidden(lf, map_, y, x, index)
+    inside = (at_x >= 1) & (at_x < width - 2) & (at_y >= 1) & (at_y < height - 2)
     at_x, at_y = at_x.clip(1, width - 2.01), at_y.clip(1, height - 2.01)
-    row, column = at_y.astype(np.intp), at_x.astype(np.intp)
-    place = index[:, None], row - 1, column - 1
-    pixels = sliding_window_view(lf.views, (4, 4), axis=(1, 2)).transpose(0, 1, 2, 4, 5, 3)[place]
     if lf.valid is not None:
-        sees &= sliding_window_view(lf.valid, (4, 4), axis=(1, 2))[place].all(axis=(2, 3))
-    return spline_mean(pixels, at_y - row, at_x - column, lf.scale), sees.astype(np.float64)
+        inside &= blocks(lf.valid[..., None], index, at_y.astype(np.intp), at_x.astype(np.intp)).all(axis=(0, 3, 4))
+    return looked_up(lf, index, at_y, at_x).astype(np.float64), inside
 
 
 def _may_be_swapped(lf: LightField, index: NDArray[np.intp], disparity: NDArray[np.float32]) -> bool:
     """Tell whether far surfaces of the map may hide its near ones."""
-    middle = slice(max(0, (lf.size[0] - _BAND) // 2), (lf.size[0] + _BAND) // 2)
-    some = order_of_depth(lf, disparity, views=_SIDES, rows=middle, seen=index)
-    if some.told >= _TOLD and some.near.sum() < _BETTER * some.far.sum():
-        return False
-    order = order_of_depth(lf, disparity, views=_SIDES, seen=index)
-    return order.told >= _TOLD and order.near.sum() > _AS_GOOD * order.far.sum()
+    height, count = lf.size[0], _BAND
+    while True:
+        middle = slice(max(0, (height - count) // 2), (height + count) // 2)
+        order = order_of_depth(lf, disparity, views=_SIDES, rows=middle, seen=index)
+        told, near, far = order.told >= _TOLD, order.near.sum(), order.far.sum()
+        if count >= height:
+            return told and near > _AS_GOOD * far
+        if told and near < _BETTER * far:
+            return False
+        count *= 2

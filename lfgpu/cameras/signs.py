@@ -41,6 +41,7 @@ _HIDES_BETTER = 0.9  # of the loss: how much better the other order of depth mus
 _SURELY = 2.5  # and by how many standard errors, over parts of the picture
 _GAP = 2.0  # pixels in the farthest view: a surface that is nearer by more hides those behind it
 _DIFFERENT = 0.03  # intensity: colours that can be told apart
+_EVERY = 8  # one in so many pixels that nothing hides says how bright a view is
 _MOST = 0.1  # intensity: larger differences count as much
 _PARTS = 12  # along the longer side: pixels of one part are of one outline
 
@@ -125,17 +126,16 @@ def order_of_depth(
     """
     seen = np.arange(len(lf.views)) if seen is None else seen
     distance, (height, width) = np.hypot(*lf.offsets[seen].T), lf.size
-    order = np.arange(height * width, dtype=np.int32).reshape(height, width)[rows][known_pixels(lf, disparity)[rows]]
-    map_ = disparity.astype(np.float32, copy=False).ravel()
-    # The farthest first: with all bits but the sign turned where it is set, floats are in the order of integers.
-    bits = map_[order].view(np.int32)
-    keys = np.sort((bits ^ (bits >> 31 & 0x7FFFFFFF)).astype(np.int64) << 32 | order)
-    order = (keys & 0xFFFFFFFF).astype(np.int32)
-    d, (row, column) = map_[order], (at.astype(np.float32) for at in np.divmod(order, np.int32(width)))
-    image = grey_at(lf, lf.reference_index, order)
+    own = rows.indices(height)[0] * width + np.flatnonzero(known_pixels(lf, disparity, rows)).astype(np.int32)
+    d = disparity.astype(np.float32, copy=False).ravel()[own]
+    row, column = (at.astype(np.float32) for at in np.divmod(own, np.int32(width)))
     front, back = np.empty(height * width, np.int32), np.empty(height * width, np.int32)
     side = max(lf.size) / _PARTS
     told, near, far = 0, np.zeros(_PARTS**2), np.zeros(_PARTS**2)
+
+    def image_at(pixels: NDArray[np.intp]) -> NDArray[np.float32]:
+        return grey_at(lf, lf.reference_index, own[pixels])
+
     for n in seen[np.argsort(-distance, kind="stable")[:views]]:
         du, dv = lf.offsets[n].tolist()
         x, y = np.rint(column - d * du).astype(np.int32), np.rint(row - d * dv).astype(np.int32)
@@ -144,21 +144,29 @@ def order_of_depth(
             inside[inside] = lf.valid[n][y[inside], x[inside]]
         landed = np.flatnonzero(inside)
         place = y[landed] * np.int32(width) + x[landed]
-        front[place], back[place[::-1]] = landed, landed[::-1]  # the last one stays
-        on_top = front[place] == landed
-        landed, place = landed[on_top], place[on_top]
-        if not len(place):
+        front[place] = landed  # the last one stays
+        front[place[front[place] != landed]] = -1
+        several = front[place] < 0
+        alone = _EVERY * np.flatnonzero(~several[::_EVERY])
+        if not len(alone):
             continue
         # How bright the whole view is does not say what hides what.
-        shown = grey_at(lf, int(n), place)
-        shown *= float(image[landed].mean()) / max(float(shown.mean()), 1e-6)
-        behind = back[place]
-        apart = (d[landed] - d[behind] > _GAP / distance.max()) & (np.abs(image[landed] - image[behind]) > _DIFFERENT)
-        landed, behind, shown = landed[apart], behind[apart], shown[apart]
-        place = (row[landed] / side).astype(np.intp) * _PARTS + (column[landed] / side).astype(np.intp)
-        told += len(place)
-        for loss, surface in ((near, landed), (far, behind)):
-            loss += np.bincount(place, np.minimum(np.abs(shown - image[surface]), _MOST), len(loss))
+        gain = image_at(landed[alone]).mean() / max(grey_at(lf, int(n), place[alone]).mean(), 1e-6)
+        landed, place = landed[several], place[several]
+        order = np.argsort(d[landed], kind="stable")  # the farthest first
+        landed, place = landed[order], place[order]
+        front[place], back[place[::-1]] = landed, landed[::-1]
+        on_top = front[place] == landed
+        landed, place = landed[on_top], place[on_top]
+        apart = d[landed] - d[back[place]] > _GAP / distance.max()
+        landed, place = landed[apart], place[apart]
+        shown = gain * grey_at(lf, int(n), place)
+        surfaces = image_at(landed), image_at(back[place])
+        apart = np.abs(surfaces[0] - surfaces[1]) > _DIFFERENT
+        part = ((row[landed] / side).astype(np.intp) * _PARTS + (column[landed] / side).astype(np.intp))[apart]
+        told += len(part)
+        for loss, surface in zip((near, far), surfaces, strict=True):
+            loss += np.bincount(part, np.minimum(np.abs(shown - surface), _MOST)[apart], len(loss))
     some = near + far > 0
     return Order(told, near[some], far[some])
 

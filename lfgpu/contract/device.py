@@ -54,8 +54,10 @@ class Device:
         """Return a number on the device."""
         return self.kernels.scalar(value, self.name)
 
-    def kept(self, name: Hashable, key: Hashable, make: Callable[[], Kept]) -> Kept:
-        """Make something that needs memory; a device that keeps such things returns the last one of the same key."""
+    def kept(
+        self, name: Hashable, key: Hashable, make: Callable[[], Kept], fits: Callable[[Kept], bool] | None = None
+    ) -> Kept:
+        """Make something that needs memory; a device that keeps such things returns the last of that key if it fits."""
         return make()
 
     def asking(self) -> AbstractContextManager[object]:

@@ -10,7 +10,7 @@ from lfgpu.data import LightField
 from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.data.windows import mean_of_channels
 from lfgpu.io.flips import ORDERS, reordered
-from lfgpu.io.parallax import AROUND, FITS, SMALLEST, alike, beside, fit, grey_of, moves, shrunk
+from lfgpu.io.parallax import AROUND, FITS, SMALLEST, Pair, alike, beside, fit, grey_of, moves, shrunk
 
 _STEPS = 4  # of views that are looked at on either side of the reference
 _BETTER = 0.3  # of the motion: how much more another way to count cameras must explain
@@ -86,9 +86,12 @@ def upside_down(light_field: LightField) -> str | None:
         return None
     step = max(1, min(light_field.size) // (_BLOCKS * _BLOCK))
     few = mean_of_channels(light_field.views[:, ::step, ::step], np.float64)
-    thumbs = np.stack([shrunk(view, _BLOCK) for view in few])
+    thumbs = shrunk(few, _BLOCK)
     middle = thumbs[light_field.reference_index]
-    turned = np.array([_is_turned(thumb, middle) for thumb in thumbs])
+    is_upright = _correlations(thumbs, middle) > _UPRIGHT
+    turned = np.array(
+        [not upright and _is_turned(thumb, middle) for upright, thumb in zip(is_upright, thumbs, strict=True)]
+    )
     if turned.mean() > 0.5:  # then the reference is
         turned = ~turned
     found = np.flatnonzero(turned)
@@ -103,10 +106,15 @@ def upside_down(light_field: LightField) -> str | None:
     )
 
 
+def _correlations(thumbs: NDArray[np.float64], middle: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Correlate small pictures [n, y, x] with one of them, as `alike` does."""
+    rest, own = (values - values.mean(axis=(-2, -1), keepdims=True) for values in (thumbs, middle))
+    spread = np.sqrt((rest**2).sum(axis=(1, 2)) * (own**2).sum())
+    return np.divide((rest * own).sum(axis=(1, 2)), spread, out=np.zeros(len(thumbs)), where=spread > 0)
+
+
 def _is_turned(thumb: NDArray[np.float64], middle: NDArray[np.float64]) -> bool:
-    """Tell whether a small picture looks like another one upside down, and not as it is."""
-    if alike(thumb, middle) > _UPRIGHT:
-        return False
+    """Tell whether a small picture looks more like another one upside down than as it is."""
     turned = _alike_moved(thumb[::-1, ::-1], middle)
     return turned > _ONE_SCENE and turned > _alike_moved(thumb, middle) + _LESS
 
@@ -165,7 +173,8 @@ def unmoved(light_field: LightField) -> str | None:
     lines = {int(n) for line in (light_field.row(), light_field.column()) for n in line} - {here}
     far = {n: float(np.hypot(*light_field.offsets[n])) for n in lines}
     ends = [n for n in lines if far[n] == max(far.values())]
-    found = moves([(centre, middle(n)) for n in ends])
+    pairs = {n: Pair(centre, middle(n)) for n in lines}
+    found = moves([pairs[n] for n in ends])
     if found is None or np.ptp(centre) == 0:
         return None
     if not found.told and found.rms < _UNMOVED:
@@ -173,11 +182,18 @@ def unmoved(light_field: LightField) -> str | None:
             "The views show no parallax, even those that are farthest apart: probably one camera took them from one "
             "place, or the whole scene is far away."
         )
-    motion = {n: moved.rms for n in lines if (moved := moves([(centre, middle(n))])) is not None}
+
+    def motion(n: int) -> float:
+        moved = moves([pairs[n]])
+        assert moved is not None  # the pictures are large enough
+        return moved.rms
+
     nearest = min(far.values())
-    usual = min(motion[n] for n in lines if far[n] == nearest)
+    usual = min(motion(n) for n in lines if far[n] == nearest)
+    if usual <= _UNMOVED:
+        return None
     for n in sorted(lines):
-        if far[n] >= 2 * nearest and motion[n] < _LESS * usual > _LESS * _UNMOVED:
+        if far[n] >= 2 * nearest and motion(n) < _LESS * usual:
             u, v = light_field.positions[n]
             return (
                 f"The picture at row {v:g}, column {u:g} shows the scene from the place of the reference: perhaps "
@@ -194,7 +210,7 @@ def contradiction(light_field: LightField) -> str | None:
     near = np.argsort(np.abs(light_field.offsets).sum(1), kind="stable")[1 : 2 * _STEPS + 1]
     chosen = sorted({int(n) for n in near} | {n for axis in (0, 1) if (n := beside(light_field, axis)) is not None})
     centre = grey_of(light_field, light_field.reference_index, factor)
-    found = moves([(centre, grey_of(light_field, n, factor)) for n in chosen])
+    found = moves([Pair(centre, grey_of(light_field, n, factor)) for n in chosen])
     if found is None:
         return None
     offsets = light_field.offsets[chosen]
@@ -245,7 +261,7 @@ def _moves_as_said(light_field: LightField, axis: int, factor: int) -> bool:
     line = light_field.row() if axis == 0 else light_field.column()
     near = line[np.argsort(np.abs(light_field.offsets[line, axis]), kind="stable")[1 : _STEPS + 1]]
     centre, offsets = grey_of(light_field, light_field.reference_index, factor), light_field.offsets[near]
-    found = moves([(centre, grey_of(light_field, int(n), factor)) for n in near])
+    found = moves([Pair(centre, grey_of(light_field, int(n), factor)) for n in near])
     if found is None or not found.told:
         return False
     once = np.hypot(*offsets.T)[:, None]

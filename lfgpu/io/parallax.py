@@ -7,7 +7,7 @@ the cameras, up to one common factor, and how much of the motion they explain sa
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -32,6 +32,7 @@ _CLEARER = 0.05  # of the motion: how much more the right order explains than an
 _AGAINST = 0.3  # of a step, against the direction in which it should be
 _STILL = 0.01  # pixels of the shrunken views, rms: less is no motion
 _BRIGHTEST = 1e6  # times white: squares of such values are still finite
+_EXACT = 128  # times smaller, at most: sums of colours of 8 bits are exact in single precision
 _ALIKE = 0.7  # correlation of pictures of one scene; those of other scenes are below it, as a rule
 
 
@@ -55,15 +56,30 @@ class Moves:
         return not self.still and self.explained > _EXPLAINED
 
 
-def moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> Moves | None:
-    """Return the distances of the cameras of pairs of grey pictures [y, x] of one size; None if they are too small."""
-    if not pairs or min(pairs[0][0].shape) < SMALLEST:
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """Two grey pictures [y, x] of one size, and the motion between them, which is found once at each size."""
+
+    a: NDArray[np.float64]
+    b: NDArray[np.float64]
+    _flows: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
+
+    def flow(self, factor: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the `_flow` between the pictures, so many times smaller."""
+        if factor not in self._flows:
+            self._flows[factor] = _flow(shrunk(self.a, factor), shrunk(self.b, factor))
+        return self._flows[factor]
+
+
+def moves(pairs: Sequence[Pair]) -> Moves | None:
+    """Return the distances of the cameras of pairs of pictures of one size; None if they are too small."""
+    if not pairs or min(pairs[0].a.shape) < SMALLEST:
         return None
     best: Moves | None = None
     for factor in _COARSER:
-        if min(pairs[0][0].shape) // factor < SMALLEST:
+        if min(pairs[0].a.shape) // factor < SMALLEST:
             break
-        found = _moves([(shrunk(a, factor), shrunk(b, factor)) for a, b in pairs], factor)
+        found = _moves(pairs, factor)
         if best is None or found.explained > best.explained + 0.05:
             best = found
         if found.still or best.explained > 0.9:
@@ -71,8 +87,8 @@ def moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]]) -> M
     return best
 
 
-def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], factor: int) -> Moves:
-    flows, weights = zip(*(_flow(a, b) for a, b in pairs), strict=True)
+def _moves(pairs: Sequence[Pair], factor: int) -> Moves:
+    flows, weights = zip(*(pair.flow(factor) for pair in pairs), strict=True)
     weight = np.minimum.reduce(weights).ravel()
     matrix = np.stack([flow[..., axis].ravel() for axis in (0, 1) for flow in flows]) * np.sqrt(weight)
     total = float((matrix**2).sum())
@@ -87,10 +103,15 @@ def _moves(pairs: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]], fac
 
 def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the motion (x, y) of blocks [y, x, 2] between pictures, pixels, and how well each of them shows it."""
-    by_y, by_x = np.gradient((a + b) / 2)
-    change = b - a - (b - a).mean()
-    products = np.stack([by_x * by_x, by_x * by_y, by_y * by_y, by_x * change, by_y * change])
-    xx, xy, yy, xt, yt = shrunk(products, _BLOCK)
+    by_y, by_x = np.gradient(((a + b) / 2).astype(np.float32))
+    change = b - a
+    change = (change - change.mean()).astype(np.float32)
+    products = np.empty((5, *a.shape), np.float32)
+    for product, (one, other) in zip(
+        products, ((by_x, by_x), (by_x, by_y), (by_y, by_y), (by_x, change), (by_y, change)), strict=True
+    ):
+        np.multiply(one, other, out=product)
+    xx, xy, yy, xt, yt = shrunk(products, _BLOCK).astype(np.float64)
     floor = 1e-2 * (xx + yy).mean() + 1e-12
     determinant = (xx + floor) * (yy + floor) - xy * xy
     x = -((yy + floor) * xt - xy * yt) / determinant
@@ -202,7 +223,7 @@ def consecutive(files: Sequence[Path]) -> Moves | None:
 
 def in_sequence(pictures: Sequence[NDArray[np.float64]]) -> Moves | None:
     """Return the distances of the cameras of consecutive grey pictures; None if they are too small, or not finite."""
-    return moves(list(pairwise(pictures))) if all(map(_in_bounds, pictures)) else None
+    return moves([Pair(a, b) for a, b in pairwise(pictures)]) if all(map(_in_bounds, pictures)) else None
 
 
 def _in_bounds(picture: NDArray[np.float64]) -> bool:
@@ -258,11 +279,23 @@ def fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 def grey_of(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
     """Return a view [y, x], grey and `factor` times smaller, in [0, 1]."""
-    return shrunk(mean_of_channels(light_field.views[index], np.float64) * light_field.scale, factor)
+    view = light_field.views[index]
+    height, width, channels = view.shape
+    if 1 < factor <= _EXACT and view.dtype == np.uint8:  # exact sums of whole numbers take a third of the time
+        few, wide = height // factor, width // factor * factor
+        rows = view[: few * factor].reshape(few, factor, -1)
+        sums = sum((rows[:, k] for k in range(factor)), np.zeros((few, width * channels), np.uint16))
+        colours = np.moveaxis(sums.reshape(few, width, channels)[:, :wide], -1, 0)
+        grey = sum(colours, np.zeros((few, wide), np.float32))
+        total = sum(grey[:, k::factor] for k in range(factor))
+        return np.asarray(total, np.float64) * (light_field.scale / (channels * factor**2))
+    return shrunk(mean_of_channels(view, np.float64) * light_field.scale, factor)
 
 
 def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
     """Return means of blocks of factor x factor pixels [..., y, x]; what is left at the right and below is cut off."""
+    if factor == 1:
+        return image
     *more, height, width = image.shape
     height, width = height // factor, width // factor
     cut = image[..., : height * factor, : width * factor]

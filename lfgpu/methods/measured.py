@@ -97,6 +97,6 @@ def exposure_of(lf: LightField) -> float:
         return bool(np.count_nonzero(values > values.dtype.type(bright / lf.scale)) <= _BRIGHT * (values.size - 1))
 
     exposure = 1.0
-    while not is_below(0.0) and is_below(exposure / 2):
+    while is_below(exposure / 2) and not is_below(0.0):
         exposure /= 2
     return exposure

@@ -45,9 +45,14 @@ class KeepingDevice(Device):
 
     _things: dict[Hashable, tuple[Hashable, Any]] = field(default_factory=dict, compare=False)
 
-    def kept(self, name: Hashable, key: Hashable, make: Callable[[], _Kept]) -> _Kept:
-        if name not in self._things or self._things[name][0] != key:
-            self._things.pop(name, None)  # its memory first
-            self._things[name] = key, make()
-        thing: _Kept = self._things[name][1]
-        return thing
+    def kept(
+        self, name: Hashable, key: Hashable, make: Callable[[], _Kept], fits: Callable[[_Kept], bool] | None = None
+    ) -> _Kept:
+        if name in self._things:
+            before, thing = self._things[name]
+            if before == key and (fits is None or fits(thing)):
+                return thing
+            del self._things[name], thing  # its memory first
+        made = make()
+        self._things[name] = key, made
+        return made

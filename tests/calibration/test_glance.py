@@ -15,7 +15,7 @@ import lfgpu
 from lfgpu import scenes
 from lfgpu._backends import open_device
 from lfgpu.calibration import Misalignment, disturb
-from lfgpu.cameras import points
+from lfgpu.cameras import points, surface
 from lfgpu.cameras.looking import look, part_of
 from lfgpu.cameras.points import Points
 from lfgpu.cameras.screening import worth_a_look
@@ -147,6 +147,21 @@ def test_no_look_is_taken_where_none_is_worth_it(boxes: LightField, monkeypatch:
     moved = with_view(boxes, 3, lambda image: np.roll(image, 1, axis=1))
     judged(moved, result, device="cpu")
     assert len(looks) == 1
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
+@pytest.mark.parametrize("apart", [False, True])
+def test_views_are_looked_up_as_on_their_surfaces(dtype: type, apart: bool, rng: np.random.Generator) -> None:
+    """Wherever the pixels of a row lie in memory."""
+    views = (rng.random((4, 3, 20, 24)) * (1 if dtype is np.float32 else np.iinfo(dtype).max)).astype(dtype)
+    views = views.transpose(0, 2, 3, 1) if apart else np.ascontiguousarray(views.transpose(0, 2, 3, 1))
+    lf, index = LightField(views, np.array([(0.0, 0.0), (1, 0), (0, 1), (1, 1)])), np.array([1, 3])
+    y, x = rng.uniform(1, 17, (2, 50)), rng.uniform(1, 21, (2, 50))
+    want = [surface.Surface(views[n], lf.scale)(x[k], y[k])[0] for k, n in enumerate(index)]
+    np.testing.assert_allclose(surface.looked_up(lf, index, y, x), want, atol=1e-6)
+    row, column = y[0].astype(int), x[0].astype(int)
+    want = surface.Surface(views[lf.reference_index], lf.scale)(column.astype(float), row.astype(float))
+    np.testing.assert_allclose(surface.with_slopes(lf, row, column), want, atol=1e-6)
 
 
 @pytest.mark.parametrize("index", [0, 3, 22])

@@ -15,7 +15,6 @@ from lfgpu.data.lightfield import LightField
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.costs import PlaneSweepCost, first_cost
-from lfgpu.methods.matching.disparities import compared_disparities
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
@@ -125,14 +124,14 @@ def measured_noise(
     chosen, window = used_views(lf.offsets, "cross"), _middle(lf, _SAMPLE)
     layout = lf.layout.subset(chosen).crop(*window)
     numbers = None if device.is_gpu and device.kernels.changing else (bounds, deviation)  # which cannot change then
-    compared = compared_disparities(bounds, layout.farthest, config.sweep)
     sweep = device.kept(
         "noise",
-        (config, compared.slices, compared.step, deviation is None, layout.shape, numbers),
+        (config, layout.shape, numbers),
         lambda: _FirstSweep(device, layout, bounds, config, deviation),
+        lambda sweep: sweep.follow(bounds, config, deviation),
     )
     load_window(lf, chosen, *window, device, shown, views_out=sweep.views)
-    return sweep(bounds, config, deviation)
+    return sweep()
 
 
 class _FirstSweep:
@@ -147,7 +146,7 @@ class _FirstSweep:
         deviation: float | None,
     ) -> None:
         arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout, layout.farthest)
-        self._frame = Frame(arena, chosen, bounds, config, deviation=deviation, multiple=1)
+        self._frame = Frame(arena, chosen, bounds, config, deviation=deviation)
         self._swept, self._kernels = self._frame.swept("all"), device.kernels
         self._cost = PlaneSweepCost(self._swept, first_cost(config))
         self.views = device.zeros_image(layout.shape, layout.dtype.type)
@@ -155,13 +154,20 @@ class _FirstSweep:
         self._volume = device.zeros((self._frame.disparities.slices, *layout.size))
         self._least, self._spread = (device.zeros(layout.size) for _ in range(2))
         self._typical = Typical(device)
+        arena.follow()
 
-    def __call__(self, bounds: tuple[float, float], config: MatchingConfig, deviation: float | None) -> float:
+    def follow(self, bounds: tuple[float, float], config: MatchingConfig, deviation: float | None) -> bool:
+        """Go on with other numbers; tell whether that is possible."""
+        return self._frame.follow(bounds, config, deviation=deviation)
+
+    def __call__(self) -> float:
         kernels, volume, least, spread = self._kernels, self._volume, self._least, self._spread
-        self._frame.follow(bounds, config, deviation=deviation)
         self._frame.load(self.views)
         self._swept.load()
         self._cost.by_view_sets(volume)
+        compared = self._frame.disparities
+        if compared.count < compared.slices:
+            volume = volume[: compared.count]
         kernels.least_costs(volume, least_out=least)
         kernels.axpby(-1.0, volume, 0.0, volume, volume)
         kernels.least_costs(volume, least_out=spread)
