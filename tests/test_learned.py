@@ -16,15 +16,17 @@ from lfgpu.contract import FOLD, Device
 from lfgpu.data import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
-from lfgpu.methods import PRESETS, configured
+from lfgpu.methods import PRESETS, configured, method_of
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.dry_run import DryArray, DryKernels
-from lfgpu.methods.matching import unet
+from lfgpu.methods.matching import aggregation, unet
 from lfgpu.methods.matching.choice import Choice
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.learned import BUILT_IN, VERSION, Network, read_weights
+from lfgpu.methods.matching.learned import BUILT_IN, NETWORK_REACH, VERSION, Network, read_weights
 from lfgpu.methods.matching.unet import Weights
+from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.export import export_pipeline
+from lfgpu.pipelines.resident import KEPT
 from tests.made import masked
 
 WIDTHS = 8, 16, 8, 24
@@ -244,6 +246,40 @@ def test_the_preset_finds_thin_things_better_than_sweeps(scene: LightField, foun
     swept = evaluate(estimate_depth(scene, config="accurate", disparity_range=RANGE), scene.truth)
     assert evaluate(found, scene.truth).badpix_07 < 0.8 * swept.badpix_07
     assert evaluate(found, scene.truth).mse_100 < swept.mse_100
+
+
+WIDE = (-12.0, 12.0)  # 96 steps of the network, which compares 64
+
+
+@pytest.fixture(scope="module")
+def wide() -> LightField:
+    return scenes.make("boxes", grid=(5, 5), size=(128, 128), disparity_range=WIDE)
+
+
+def test_turned_surfaces_in_wide_ranges_are_exact(wide: LightField, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second network improves the map of the first one, whose compared disparities lie far apart."""
+    method, given = method_of("learned"), {"config": "learned", "disparity_range": WIDE}
+    before = method.halo(wide.layout, Measured(WIDE, 0.01))
+    twice = evaluate(estimate_depth(wide, **given), wide.truth)
+    monkeypatch.setattr(aggregation, "are_in_windows", lambda *_: False)
+    monkeypatch.setattr("lfgpu.methods.matching.method.are_in_windows", lambda *_: False)
+    KEPT.free()  # the plan, which has the second network
+    once = evaluate(estimate_depth(wide, **given), wide.truth)
+    KEPT.free()
+    assert twice.badpix_07 < 0.85 * once.badpix_07
+    assert twice.badpix_03 < 0.9 * once.badpix_03
+    assert twice.mse_100 < 1.1 * once.mse_100
+    assert np.all(np.array(before) >= np.array(method.halo(wide.layout, Measured(WIDE, 0.01))) + NETWORK_REACH)
+
+
+@pytest.mark.thorough
+def test_backends_agree_in_wide_ranges(wide: LightField) -> None:
+    small = wide.crop(slice(32, 96), slice(32, 96))
+    maps = [
+        estimate_depth(small, config="learned", disparity_range=WIDE, backend=backend, device="cpu").disparity
+        for backend in ("warp", "taichi")
+    ]
+    assert np.quantile(np.abs(maps[0] - maps[1]), 0.95) < 1e-3
 
 
 @pytest.mark.parametrize(

@@ -9,19 +9,22 @@ import pytest
 from command_line import lfgpu, refused
 
 from lfgpu import estimate_depth, scenes
+from lfgpu._backends import open_device
 from lfgpu.io import write_hci
 from lfgpu.methods.matching.choice import read_choice
-from lfgpu.methods.matching.learned import BUILT_IN, read_weights, weights_file
+from lfgpu.methods.matching.learned import BUILT_IN, read_weights, weights_file, weights_of
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: pip install lfgpu[train]")
 
 from benchmarks.choosing import chosen, draw, loss_of, train_choice  # noqa: E402
+from lfgpu.training.compared import Windows, count_of, disparities_for  # noqa: E402
+from lfgpu.training.facets import facets  # noqa: E402
 from lfgpu.training.generator import Batch, Generator  # noqa: E402
 from lfgpu.training.network import MULTIPLE, Network, estimate, peak  # noqa: E402
 from lfgpu.training.rig import measured_rig  # noqa: E402
 from lfgpu.training.run import run  # noqa: E402
 from lfgpu.training.sectors import SECTORS, UNIT, order_of_sectors, sector_costs  # noqa: E402
-from lfgpu.training.train import Settings, Trainer, count_of, disparities_for  # noqa: E402
+from lfgpu.training.train import Settings, Trainer  # noqa: E402
 from lfgpu.training.weights import fold, write_weights  # noqa: E402
 
 torch.set_num_threads(1)  # small volumes: several threads would wait for each other, most of all on a busy machine
@@ -224,6 +227,30 @@ def test_two_processes_learn_the_same(tmp_path: Path) -> None:
     alone.run(600)
     both = torch.load(tmp_path / "run" / "state.pt")["network"]
     assert not all(torch.equal(value, both[name]) for name, value in alone.network.state_dict().items())
+
+
+def test_windows_lie_around_a_map_that_was_found(tmp_path: Path) -> None:
+    settings = Settings(steps=2, **TINY)
+    trainer = Trainer(settings, tmp_path / "run", "cpu", start=weights_of(""), compared=Windows)
+    batch = Generator((2,), "cpu", side=2 * MULTIPLE, textures=20, rays=1, spans=(12.0, 30.0)).draw(0, 2)
+    first, steps, count = trainer._compared(batch, np.random.default_rng(0), 0)
+    assert first.shape == batch.truth.shape
+    last = first + (count - 1) * steps[:, None, None]
+    assert ((first < batch.truth) & (batch.truth < last)).float().mean() > 0.6
+    assert float(batch.truth.max() - batch.truth.min()) > 1.5 * float((last - first).max())  # no window holds all
+    trainer.run(600)
+    assert trainer.step == 2
+
+
+def test_facets_are_those_of_the_reference() -> None:
+    rng = np.random.default_rng()
+    maps = torch.from_numpy(rng.normal(size=(2, 9, 11)))
+    device = open_device("reference", "cpu")
+    for map_, got in zip(maps.numpy(), facets(maps).numpy(), strict=True):
+        planes, want = np.zeros((*map_.shape, 4)), np.zeros(map_.shape)
+        device.kernels.planes(map_, planes_out=planes)
+        device.kernels.facets(planes, facets_out=want)
+        np.testing.assert_allclose(got, want, atol=1e-9)
 
 
 def test_a_choice_learns(tmp_path: Path) -> None:

@@ -11,11 +11,16 @@ import numpy as np
 from lfgpu.contract import Array
 from lfgpu.methods.matching.base import Aggregation, Swept
 from lfgpu.methods.matching.costs import noise_cost
-from lfgpu.methods.matching.disparities import NETWORK_STEP, WINDOW, network_reach, padded_disparities
+from lfgpu.methods.matching.disparities import (
+    NETWORK_STEP,
+    WINDOW,
+    are_in_windows,
+    network_reach,
+    padded_disparities,
+)
 from lfgpu.methods.matching.frame import Frame, Selection, SweptViews
 from lfgpu.methods.matching.learned import Network, weights_of, weights_of_windows
 
-_EQUAL = 1e-6  # pixels in the farthest view
 _RIGHT = 0.07  # pixels per view step: the confidence is the probability of smaller errors
 
 
@@ -114,7 +119,7 @@ class Learned(Aggregation):
         with arena.scratch() as scratch:
             self._probability, self._deviation = scratch.fields(2, frame.size)
             self._network = Network(arena, self._weights, selection.layout, planned.count)
-        if planned.step * layout.farthest > NETWORK_STEP + _EQUAL:
+        if are_in_windows(layout.offsets, frame.bounds):
             self._windows = Windows(frame)
         self.image, self.factor = self._network.image, self._network.factor
         views.on_load(lambda *_: self._load(selection))

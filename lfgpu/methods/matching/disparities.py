@@ -84,6 +84,12 @@ def padded_disparities(bounds: tuple[float, float], farthest: float) -> Disparit
     return Disparities((low + high) / 2 - step * (count - 1) / 2, step, count)
 
 
+def are_in_windows(offsets: Float64Array, bounds: tuple[float, float]) -> bool:
+    """Tell whether the range is so wide for views at `offsets` [n, 2] that a network improves its map in windows."""
+    step = padded_disparities(bounds, network_reach(offsets, bounds)).step
+    return bool(step * np.abs(offsets).max() > NETWORK_STEP * (1 + _ON_BOUND))
+
+
 def view_sets(offsets: Float64Array, angle: float) -> Float64Array:
     """Sets of views at `offsets` [n, 2] that may see past an outline together, [m, n] of 1 and 0.
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 
-from lfgpu.contract import REACH, REDUCTION, SMOOTHING_REACH, Device, Float64Array, Streaming
+from lfgpu.contract import FACET_REACH, REACH, REDUCTION, SMOOTHING_REACH, Device, Float64Array, Streaming
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.disparities import compared_disparities, compared_reach
+from lfgpu.methods.matching.disparities import are_in_windows, compared_disparities, compared_reach
 from lfgpu.methods.matching.guesses import GUESS_REACH
 from lfgpu.methods.matching.learned import NETWORK_REACH
 from lfgpu.methods.matching.noise import exposed, measured_grain, measured_noise, of_given_noise, smoothing_deviation
@@ -97,7 +97,11 @@ class Matching(Method[MatchingConfig]):
         windows = (self.config.prior.window // 2) * passes + self.config.tuning.prior.patch // 2 + 2 * (REACH + 1)
         windows += SMOOTHING_REACH + 1 + _REDUCED * REDUCTION
         windows += GUESS_REACH * self.config.sweep.resweeps
-        seen = NETWORK_REACH if sweeps_of(self.config)[-1].aggregation == "learned" else _PATHS
+        seen = _PATHS
+        if sweeps_of(self.config)[-1].aggregation == "learned":
+            offsets = layout.offsets[self.used_views(layout.offsets)]
+            is_twice = are_in_windows(offsets, measured.disparity_range)
+            seen = 2 * (NETWORK_REACH + FACET_REACH) if is_twice else NETWORK_REACH
         return down + windows + seen, across + windows + seen
 
     def plan(self, layout: ViewLayout, measured: Measured, device: Device) -> MatchingPlan:
