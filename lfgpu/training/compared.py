@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 import torch
@@ -12,14 +12,11 @@ from torch import Tensor
 from lfgpu.methods.matching.disparities import NETWORK_MOST, NETWORK_STEP, PADDED, WINDOW, network_reach
 from lfgpu.methods.matching.learned import weights_of
 from lfgpu.training.facets import facets
-from lfgpu.training.generator import Batch
+from lfgpu.training.generator import Batch, Generator
 from lfgpu.training.network import Network, estimate, peak
 from lfgpu.training.scenes import SPANS
 from lfgpu.training.sectors import order_of_sectors
 from lfgpu.training.weights import unfold
-
-if TYPE_CHECKING:
-    from lfgpu.training.train import Trainer
 
 _NARROW = 30.0  # pixels in the farthest view: a rig's range that is not wider is compared whole
 _SHOWN_FIRST = 8  # batches that a network which begins with given weights is shown
@@ -67,8 +64,8 @@ class WholeRanges:
 
     spans = SPANS
 
-    def __init__(self, trainer: Trainer) -> None:
-        self._limits = None if trainer.rig is None else trainer.rig.limits
+    def __init__(self, generator: Generator, *, scenes: int, seed: int) -> None:
+        self._limits = None if generator.rig is None else generator.rig.limits
 
     def __call__(self, batch: Batch, rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor, int]:
         """See `Comparison`."""
@@ -78,18 +75,19 @@ class WholeRanges:
 class Windows:
     """Windows around the map that the network of whole ranges finds in the views near the reference.
 
-    Its weights are disturbed now and then, as it fails more often on light fields of others.
+    Its weights are disturbed now and then, as it fails more often on light fields of others. At first it is shown
+    batches of so many `scenes`.
     """
 
     spans = 12.0, 160.0
 
-    def __init__(self, trainer: Trainer) -> None:
-        self._network, self._disturbed = (Network().to(trainer.device).eval() for _ in range(2))
-        rng = np.random.default_rng((trainer.settings.seed, 11))
+    def __init__(self, generator: Generator, *, scenes: int, seed: int) -> None:
+        self._network, self._disturbed = (Network().to(generator.device).eval() for _ in range(2))
+        rng = np.random.default_rng((seed, 11))
 
         def show(network: torch.nn.Module) -> None:
             for number in range(_SHOWN_FIRST):
-                batch = trainer.generator.draw(number, trainer.settings.scenes)
+                batch = generator.draw(number, scenes)
                 first, steps, count = disparities_for(batch, rng, NETWORK_MOST)
                 starts, margin = batch.starts, batch.margin
                 estimate(

@@ -151,7 +151,7 @@ class Trainer:
         if not is_new:
             self._read()
         self._begin_era()
-        self._compared = compared(self)
+        self._compared = compared(self.generator, scenes=settings.scenes, seed=settings.seed)
         if is_new:
             if start is not None:
                 unfold(start, self.network, self._show)
