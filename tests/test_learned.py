@@ -274,6 +274,7 @@ def test_turned_surfaces_in_wide_ranges_are_exact(wide: LightField, monkeypatch:
 
 @pytest.mark.thorough
 def test_backends_agree_in_wide_ranges(wide: LightField) -> None:
+    pytest.importorskip("taichi")
     small = wide.crop(slice(32, 96), slice(32, 96))
     maps = [
         estimate_depth(small, config="learned", disparity_range=WIDE, backend=backend, device="cpu").disparity
