@@ -287,6 +287,8 @@ class FacetCase(checks.Case):
     size: tuple[int, int] = (13, 17)
     noise: float = 0.125
     level: float = 0.0
+    ties: bool = False
+    """Whether several planes fit equally well."""
 
     @property
     def tolerance(self) -> float:
@@ -295,6 +297,7 @@ class FacetCase(checks.Case):
 
 FACET_CASES = (
     FacetCase("two planes"),
+    FacetCase("ties", ties=True),
     FacetCase("far from 0", level=64.0),
     FacetCase("noise alone", noise=4.0),
     FacetCase("one row", size=(1, 12)),
@@ -312,7 +315,7 @@ def facet_inputs(case: FacetCase, rng: np.random.Generator) -> SimpleNamespace:
     left, right = (level + by_x * x + by_y * y for level, by_x, by_y in slopes)
     map_ = case.level + np.where(x + 2 * y < sum(case.size), left, 3 + right) + case.noise * rng.normal(size=case.size)
     found = rng.normal(size=(*case.size, 4))
-    found[..., 3] = np.abs(found[..., 3])
+    found[..., 3] = rng.integers(0, 3, case.size) if case.ties else np.abs(found[..., 3])
     return SimpleNamespace(map_=checks.float32(map_), planes=checks.float32(found))
 
 

@@ -37,6 +37,7 @@ SAME = {
         "sectors": 1,
         "convolution": 1,
         "measuring": 1,
+        "facets": 2,
     },
 }
 """By module, how many mutants compute the same: values that are overwritten before they are read, slices that end
