@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import ClassVar, Protocol
+from abc import ABC, abstractmethod
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -19,18 +20,25 @@ from lfgpu.training.sectors import order_of_sectors
 from lfgpu.training.weights import unfold
 
 _NARROW = 30.0  # pixels in the farthest view: a rig's range that is not wider is compared whole
-_SHOWN_FIRST = 8  # batches that a network which begins with given weights is shown
 _SLACK = 3.0  # pixels in the farthest view by which ranges are wider than the truth at either end, at most
 _DISTURBED = 0.0, 0.1, 0.2  # standard deviations of factors of the weights that find the map
 _MOVED = 0.3  # steps by which windows lie beside the map, at most
 
 
-class Comparison(Protocol):
-    """Draws the disparities that a network compares."""
+SHOWN_FIRST = 8
+"""Batches that a network which begins with given weights is shown."""
+
+
+class Comparison(ABC):
+    """Draws the disparities that a network in training compares, for batches of so many `scenes`."""
 
     spans: ClassVar[tuple[float, float]]
     """Pixels in the farthest view over which the disparities of scenes are spread."""
 
+    @abstractmethod
+    def __init__(self, generator: Generator, *, scenes: int, seed: int) -> None: ...
+
+    @abstractmethod
     def __call__(self, batch: Batch, rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor, int]:
         """Draw the first disparity of each pixel [b, y, x], the steps [b], and how many; `count` is a proposal."""
 
@@ -59,7 +67,7 @@ def disparities_for(
     return first[:, None, None].expand_as(batch.truth).contiguous(), step, count
 
 
-class WholeRanges:
+class WholeRanges(Comparison):
     """Ranges that hold the truth."""
 
     spans = SPANS
@@ -72,11 +80,10 @@ class WholeRanges:
         return disparities_for(batch, rng, count, self._limits)
 
 
-class Windows:
+class Windows(Comparison):
     """Windows around the map that the network of whole ranges finds in the views near the reference.
 
-    Its weights are disturbed now and then, as it fails more often on light fields of others. At first it is shown
-    batches of so many `scenes`.
+    Its weights are disturbed now and then, as it fails more often on light fields of others.
     """
 
     spans = 12.0, 160.0
@@ -86,13 +93,12 @@ class Windows:
         rng = np.random.default_rng((seed, 11))
 
         def show(network: torch.nn.Module) -> None:
-            for number in range(_SHOWN_FIRST):
+            for number in range(SHOWN_FIRST):
                 batch = generator.draw(number, scenes)
                 first, steps, count = disparities_for(batch, rng, NETWORK_MOST)
-                starts, margin = batch.starts, batch.margin
                 estimate(
-                    network, batch.views, batch.reference, batch.offsets, starts,
-                    margin=margin, first=first, steps=steps, count=count,
+                    network, batch.views, batch.reference, batch.offsets, batch.starts,
+                    margin=batch.margin, first=first, steps=steps, count=count,
                 )  # fmt: skip
 
         unfold(weights_of(""), self._network, show)

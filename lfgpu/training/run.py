@@ -17,9 +17,9 @@ import torch.distributed as dist
 from lfgpu.io import atomic_write
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.threads import on_signal
-from lfgpu.training.compared import WholeRanges
+from lfgpu.training.compared import Comparison, WholeRanges
 from lfgpu.training.rig import Rig
-from lfgpu.training.train import Compared, Settings, Trainer, Validation
+from lfgpu.training.train import Settings, Trainer, Validation
 from lfgpu.training.weights import write_weights
 from lfgpu.viz.sheets import comparison
 
@@ -37,7 +37,7 @@ def run(
     seconds: float,
     rig: Rig | None = None,
     start: Weights | None = None,
-    compared: Compared = WholeRanges,
+    compared: type[Comparison] = WholeRanges,
     on_step: Callable[[int, dict[str, Any]], None] | None = None,
 ) -> tuple[int, Validation]:
     """Train for some time, or to the end, validate, and write the weights.

@@ -20,7 +20,7 @@ from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_write
 from lfgpu.methods.matching.unet import Weights
-from lfgpu.training.compared import WholeRanges, Windows, count_of
+from lfgpu.training.compared import SHOWN_FIRST, Comparison, WholeRanges, count_of
 from lfgpu.training.generator import Batch, Generator
 from lfgpu.training.network import MULTIPLE, Network, certainty, estimate, peak
 from lfgpu.training.rig import Rig
@@ -31,7 +31,6 @@ _WARM_UP = 200  # steps over which the learning rate rises
 _SHOWN = 100  # steps from one line of the log to the next
 _LARGE, _EVERY = 5 / 3, 3  # every so many batches light fields are larger by this, and as many fewer
 _FINE = 0.03  # pixels in the farthest view from which the loss grows like the logarithm of the error
-_SHOWN_FIRST = 8  # batches that a network which begins with given weights is shown
 _UNSEEN = 1_000_000  # era of the light fields of validations
 _PIXELS = 20_000  # of a batch, that the trust is fitted to
 _PICTURED = 4  # light fields whose maps are drawn
@@ -39,8 +38,6 @@ _STEPS = 4.0  # view steps to the farthest view of a grid of 9 x 9, in which map
 
 RATE, RATE_LIKE = 2e-3, 5e-4
 """Largest learning rates, of random weights and of those that lfgpu comes with."""
-
-Compared = type[WholeRanges] | type[Windows]
 
 STATE_FILE, LOG_FILE = "state.pt", "log.jsonl"
 
@@ -137,7 +134,7 @@ class Trainer:
         world: int = 1,
         rig: Rig | None = None,
         start: Weights | None = None,
-        compared: Compared = WholeRanges,
+        compared: type[Comparison] = WholeRanges,
     ) -> None:
         self.settings, self.folder, self.device, self.rank, self.world = settings, folder, device, rank, world
         self.rig, self.stopped, self._spans = rig, False, compared.spans
@@ -191,7 +188,7 @@ class Trainer:
     def _show(self, network: Network) -> None:
         """Show a network some batches."""
         rng = np.random.default_rng((self.settings.seed, 5))
-        for number in range(_SHOWN_FIRST):
+        for number in range(SHOWN_FIRST):
             batch = self.generator.draw(number, self.settings.scenes)
             count = count_of(self.settings.seed, 5, number)
             first, steps, count = self._compared(batch, rng, count)

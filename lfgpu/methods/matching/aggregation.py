@@ -93,9 +93,9 @@ class SemiGlobal(Aggregation):
 class Learned(Aggregation):
     """The networks of `learned.py`, trained on generated light fields, over costs by angular sector of all used views.
 
-    The first one compares a whole range. If it would have to compare more disparities than it was trained with, it
-    looks at the views near the reference, where fewer suffice, and a second one compares a few disparities around that
-    map in all views. These begin on facets of the map, so that a turned surface is level among them.
+    The first one compares a whole range. Where that takes more than `NETWORK_MOST` disparities, it looks at the views
+    near the reference only, for which fewer suffice. A second network then compares a few disparities around that map
+    in all views. They lie around facets of the map, so that a turned surface is level among them.
     """
 
     has_own_costs: ClassVar[bool] = True

@@ -58,9 +58,9 @@ def compared_reach(offsets: Float64Array, bounds: tuple[float, float], config: S
 
 
 def reach_for(offsets: Float64Array, span: float, *, step: float, count: int) -> float:
-    """Return the distance of the farthest views in which `count` steps of so many pixels are the span, or more.
+    """Return how far out views may be, view steps, for `count` steps of `step` pixels there to cover a span.
 
-    At least four views beside the reference are at most as far.
+    The span is in pixels per view step. At least four views beside the reference are not farther out, whatever it is.
     """
     distances = np.sort(np.abs(offsets).max(1))
     fits = distances[_FEWEST_VIEWS:] * span <= step * count
