@@ -18,28 +18,18 @@ from .edges import weigh_edges
 from .memory import pixel_type
 from .native_code import kernel, names_of
 from .splat import as_offsets
-from .threads import launch_rows, once
+from .threads import launch_rows
 from .vector import given
 
 _AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
 _BEFORE, _BORDER = 2, 5  # pixels that copies of views are longer at their left and top, and in all
 
 
-@once
-def _gpu_pack_kernel(channels: int, stored: Any, compact: Any) -> Any:
-    pad = 4 if channels == 3 else 2
-    types = {"Stored": pixel_type(channels, stored), "Kept": pixel_type(pad, compact)}
-    numbers = {"CHANNELS": channels, "PAD": pad, "BORDER": _BORDER, "BEFORE": _BEFORE}
-    module = f"lfgpu_gpu_alignment_pack_{channels}_{stored.__name__}"
-    return kernel("alignment.cuh", "pack", module=module, **types, **numbers)
-
-
-@once
 def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNamespace:
     """Views come as `stored` and are kept as `compact` scalars."""
     pad = 4 if channels == 3 else 2
     kept = pixel_type(pad, compact)
-    module = f"lfgpu_{'cpu' if on_cpu else 'gpu'}_alignment_{channels}_{stored.__name__}_{compact.__name__}"
+    types = {"Stored": pixel_type(channels, stored), "Kept": kept}
     names, bytes_ = names_of(kept), wp.types.type_size_in_bytes(compact)
     is_integer = compact in (wp.uint8, wp.uint16)
     numbers: dict[str, int | float | str] = {
@@ -53,14 +43,16 @@ def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNa
     if not on_cpu:
         numbers["IS_INTEGER"] = int(is_integer)
         numbers["PAIRS"] = "words.x, words.y" if pad * bytes_ == 8 else "words"
-        align = kernel("alignment.cuh", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
-        return SimpleNamespace(pack=_gpu_pack_kernel(channels, stored, compact), align=align)
+        align = kernel("alignment.cuh", "align", Pixel=pixel_type(channels), Kept=kept, **numbers)
+        of_pixels = {"CHANNELS": channels, "PAD": pad, "BORDER": _BORDER, "BEFORE": _BEFORE}
+        return SimpleNamespace(pack=kernel("alignment.cuh", "pack", **types, **of_pixels), align=align)
     # A CPU reads a pixel as one integer, and of floats each channel by itself.
     integers = {2: "unsigned short", 4: "unsigned", 8: "unsigned long long"}
     numbers["WORD"] = integers[pad * bytes_] if is_integer else f"struct {{ {names['KEPT']} c[{pad}]; }}"
     numbers["IS_FLOAT"] = int(compact is wp.float32)
+    module = f"lfgpu_cpu_alignment_{channels}_{stored.__name__}_{compact.__name__}"
     align = kernel("alignment.h", "align", module=module, Pixel=pixel_type(channels), Kept=kept, **numbers)
-    pack = kernel("alignment.h", "pack", module=module, Stored=pixel_type(channels, stored), Kept=kept, **numbers)
+    pack = kernel("alignment.h", "pack", module=module, **types, **numbers)
     return SimpleNamespace(pack=pack, align=align)
 
 

@@ -10,7 +10,7 @@ import warp as wp
 
 from .native_code import kernel
 from .pixels import Field, Number, Volume, pixelwise
-from .threads import launch_rows, launch_slices, once, room_for
+from .threads import launch_rows, launch_slices, room_for
 from .vector import given
 
 wp.set_module_options({"enable_backward": False})
@@ -32,7 +32,6 @@ _AROUND = 2  # pixels on each side, in which the nearest and the farthest are lo
 _Weights = wp.types.vector(length=6, dtype=float)
 
 
-@once
 def _cpu_kernel(name: str) -> Any:
     numbers = {
         "SHARPNESS": _SHARPNESS,
@@ -44,12 +43,11 @@ def _cpu_kernel(name: str) -> Any:
         "AROUND": _AROUND,
         "BLOCK": _BLOCK,
     }
-    return kernel("confidence.h", name, module=f"lfgpu_cpu_{name}", **numbers)
+    return kernel("confidence.h", name, **numbers)
 
 
-@once
 def _line_mean_kernel() -> Any:
-    return kernel("confidence.cuh", "average_line", module="lfgpu_gpu_line_mean")
+    return kernel("confidence.cuh", "average_line")
 
 
 @pixelwise("lfgpu_evidence")

@@ -75,11 +75,6 @@ def _turn_kernel(
 
 
 @once
-def _step_on_cpu_kernel() -> Any:
-    return kernel("vector.h", "conjugate_step", module="lfgpu_conjugate_cpu")
-
-
-@once
 def _parts(device: str) -> Any:
     """Partial sums of both inner products; the second one keeps its last value as well."""
     return [wp.empty(_BLOCKS + 1, dtype=wp.float64, device=device) for _ in range(2)]
@@ -93,7 +88,8 @@ def conjugate_step(p: Any, q: Any, preconditioner: Any, rz: Any, x: Any, r: Any,
     if device.is_cpu:
         pq = along[:1]
         dot(p, q, pq)
-        launch(_step_on_cpu_kernel(), 1, [pq, q, preconditioner, go_on, rz, p, x], [r], device=device)
+        step = kernel("vector.h", "conjugate_step")
+        launch(step, 1, [pq, q, preconditioner, go_on, rz, p, x], [r], device=device)
         return
     threads, options = _BLOCKS * BLOCK, {"dim": [_BLOCKS], "block_dim": BLOCK, "device": device}
     launch_tiles(partial_dot_kernel, inputs=[p, q, threads], outputs=[along], **options)

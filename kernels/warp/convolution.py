@@ -9,7 +9,7 @@ from lfgpu.contract import Float32Array, Rows
 
 from .memory import pixel_type, start
 from .native_code import c_type, kernel
-from .threads import check_size, launch, launch_slices, once, with_wide_vectors
+from .threads import check_size, launch, launch_slices
 
 _LANES = 16  # channels of the output that a CPU computes side by side
 _WARPS = 4  # of a block of a GPU
@@ -22,7 +22,6 @@ _AMPERE = 80  # compute capability from which on tensor cores multiply as they a
 _Strides = tuple[int, int, int]
 
 
-@once
 def _kernel(
     function: str, shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any, tiles: int = 0
 ) -> Any:
@@ -41,13 +40,9 @@ def _kernel(
     }
     numbers |= {"STORED": c_type(stored, for_vectors=on_cpu), "RESULT": c_type(result, for_vectors=on_cpu)}
     types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
-    kind = "_".join(map(str, (*shape, *strides, int(rectified), stored.__name__, result.__name__)))
-    module = f"lfgpu_{function}_{kind}"
     if on_cpu:
-        return with_wide_vectors(kernel("convolution.h", "convolve_rows", module=module, **types, **numbers))
-    if tiles:
-        return kernel("convolution.cuh", "convolve_tiles", module=module, **types, **numbers)
-    return kernel("convolution.cuh", "convolve_voxels", module=module, **types, **numbers)
+        return kernel("convolution.h", "convolve_rows", wide=True, **types, **numbers)
+    return kernel("convolution.cuh", "convolve_tiles" if tiles else "convolve_voxels", **types, **numbers)
 
 
 def _spread(shape: tuple[int, ...], strides: _Strides) -> int:
@@ -139,7 +134,7 @@ class _Convolution:
         threads = _WARPS * 32
         check_size(blocks * threads)
         inputs[1] = self._fragments
-        convolve = _kernel("convolve_tiles", *kind, self._tiles)
+        convolve = _kernel("convolve_tiles", *kind, tiles=self._tiles)
         launch(convolve, blocks * threads, inputs, [out], device=self._device, block_dim=threads)
 
 

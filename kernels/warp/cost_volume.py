@@ -5,7 +5,7 @@ from typing import Any
 from lfgpu.contract import REDUCTION
 
 from .native_code import kernel
-from .threads import launch, launch_rows, launch_slices, once, room_for
+from .threads import launch, launch_rows, launch_slices, room_for
 from .vector import given
 
 _BLOCK = 32  # columns that a CPU works on at a time
@@ -13,27 +13,18 @@ _SLICES = 8  # of the volume, for which a thread of a GPU reads weights once
 _TILE = (8, 32)  # rows and columns of pixels of a block on a GPU
 
 
-@once
-def _rows_kernel(radius: int) -> Any:
-    numbers = {"RADIUS": radius, "SIDE": 2 * radius + 1, "BLOCK": _BLOCK}
-    return kernel("cost_volume.h", "average_rows", module=f"lfgpu_cost_volume_{radius}", **numbers)
-
-
-@once
 def _pixels_kernel(radius: int) -> Any:
     numbers = {"RADIUS": radius, "SIDE": 2 * radius + 1, "SLICES": _SLICES, "ROWS": _TILE[0], "COLUMNS": _TILE[1]}
-    return kernel("cost_volume.cuh", "average_pixel", module=f"lfgpu_gpu_cost_volume_{radius}", **numbers)
+    return kernel("cost_volume.cuh", "average_pixel", **numbers)
 
 
-@once
 def _add_kernel() -> Any:
-    return kernel("cost_volume.h", "add_reduced", module="lfgpu_add_reduced", REDUCTION=REDUCTION)
+    return kernel("cost_volume.h", "add_reduced", REDUCTION=REDUCTION)
 
 
-@once
 def _minimum_kernel(name: str, block: int) -> Any:
     """Return the kernel for `block` columns at a time."""
-    return kernel("cost_volume.h", name, module=f"lfgpu_{name}_{block}", BLOCK=block)
+    return kernel("cost_volume.h", name, BLOCK=block)
 
 
 def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> None:
@@ -46,7 +37,8 @@ def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> 
         launch(average, dim, [weights, volume], [average_out], device=device, block_dim=block)
         return
     room = room_for(device, height, window * window * _BLOCK)
-    launch_slices(_rows_kernel(window // 2), height, [weights, volume], average_out, room=room)
+    average = kernel("cost_volume.h", "average_rows", RADIUS=window // 2, SIDE=window, BLOCK=_BLOCK)
+    launch_slices(average, height, [weights, volume], average_out, room=room)
 
 
 def add_reduced(reduced: Any, shares: Any, *, weight: float, volume_inout: Any) -> None:

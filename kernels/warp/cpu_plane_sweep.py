@@ -7,7 +7,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import in_slices, launch, load, once, with_wide_vectors
+from .threads import in_slices, launch, load, once
 
 _STRIP = 16  # rows of sums that stay in the cache
 LANES = 128  # of a chunk: its columns, and one at either side for differences
@@ -46,7 +46,6 @@ def keep_views(kernel: Any, recorded: Any, margin: int, views_out: Any) -> None:
     in_slices(recorded.device, len(recorded), some_views)
 
 
-@once
 def sweep_kernel(channels: int, kept: Any, gradients: bool, rooted: bool, penalty: float) -> Any:
     """Return the kernel for views of scalar type `kept`.
 
@@ -54,8 +53,7 @@ def sweep_kernel(channels: int, kept: Any, gradients: bool, rooted: bool, penalt
     """
     numbers = {"CHANNELS": channels, "STRIP": _STRIP, "LANES": LANES, "PENALTY": penalty}
     numbers |= {"GRADIENTS": int(gradients), "ROOTED": int(rooted)}
-    module = f"lfgpu_plane_sweep_{channels}_{kept.__name__}_{gradients:d}{rooted:d}"
-    return with_wide_vectors(kernel("plane_sweep.h", "sweep_rows", module=module, Kept=kept, **numbers))
+    return kernel("plane_sweep.h", "sweep_rows", wide=True, Kept=kept, **numbers)
 
 
 def room_of(channels: int, groups: int) -> int:

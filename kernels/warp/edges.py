@@ -4,15 +4,13 @@ from typing import Any
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import launch_rows, once
+from .threads import launch_rows
 from .vector import given
 
 
-@once
 def _kernel(channels: int, reach: int, on_cpu: bool) -> Any:
-    file, kind = ("edges.h", "cpu") if on_cpu else ("edges.cuh", "gpu")
-    module = f"lfgpu_{kind}_edges_{reach}_{channels}"
-    return kernel(file, "weigh_edges", module=module, Pixel=pixel_type(channels), CHANNELS=channels, REACH=reach)
+    file = "edges.h" if on_cpu else "edges.cuh"
+    return kernel(file, "weigh_edges", Pixel=pixel_type(channels), CHANNELS=channels, REACH=reach)
 
 
 def weigh_edges(image: Any, weight: float, contrast: Any, reach: int, weights_out: Any) -> None:

@@ -8,26 +8,17 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import function, kernel, names_of
-from .threads import check_size, launch, launch_rows, once
-
-wp.set_module_options({"enable_backward": False})
+from .pixels import Field, pixelwise
+from .threads import check_size, launch, once
 
 
 @once
-def _kernel(channels: int) -> Any:
-    pixel = pixel_type(channels)
+def _square(channels: int) -> Any:
+    @pixelwise(f"lfgpu_curvature_{channels}", light=True)
+    def square(y: int, x: int, image: wp.array2d(dtype=pixel_type(channels)), factor: float, curvature_out: Field):
+        curvature_out[y, x] = factor * wp.dot(image[y, x], image[y, x])
 
-    @wp.kernel(module=f"lfgpu_curvature_{channels}", enable_backward=False)
-    def curvature_kernel(
-        image: wp.array2d(dtype=pixel), factor: float, row: int, lanes: int, curvature_out: wp.array2d(dtype=float)
-    ):
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
-        for x in range(lane, image.shape[1], lanes):
-            curvature_out[y, x] = factor * wp.dot(image[y, x], image[y, x])
-
-    return curvature_kernel
+    return square
 
 
 def curvature_factor(offsets: Any) -> float:
@@ -37,7 +28,7 @@ def curvature_factor(offsets: Any) -> float:
 
 def curvature(image: Any, factor: float, curvature_out: Any) -> None:
     """factor * Σ_c image² of an image [y, x, c]."""
-    launch_rows(_kernel(image.dtype._length_), [image, factor], curvature_out, light=True)
+    _square(image.dtype._length_)(image, factor, curvature_out)
 
 
 wp.set_module_options({"enable_backward": False})

@@ -5,7 +5,7 @@ from typing import Any
 import warp as wp
 
 from .native_code import kernel
-from .threads import check_size, launch, once
+from .threads import check_size, launch
 
 wp.set_module_options({"enable_backward": False})
 
@@ -35,21 +35,18 @@ _BLOCK = 256
 _TURNS = 4  # groups of threads that fetch the sums
 
 
-@once
 def _products_kernel() -> Any:
     numbers = {"PARTS": PARTS, "ROWS": _ROWS, "BLOCK": _BLOCK}
-    return kernel("lbfgs.cuh", "find_products", module="lfgpu_gpu_lbfgs_products", State=State, **numbers)
+    return kernel("lbfgs.cuh", "find_products", State=State, **numbers)
 
 
-@once
 def _recursion_kernel() -> Any:
     numbers = {"TURNS": _TURNS, "LEAST_CURVATURE": str(LEAST_CURVATURE)}  # float64
-    return kernel("lbfgs.cuh", "find_coefficients", module="lfgpu_gpu_lbfgs_recursion", State=State, **numbers)
+    return kernel("lbfgs.cuh", "find_coefficients", State=State, **numbers)
 
 
-@once
 def _combine_kernel(rows: int) -> Any:
-    return kernel("lbfgs.cuh", "combine", module=f"lfgpu_gpu_lbfgs_{rows}", COUNT=rows, BLOCK=_BLOCK)
+    return kernel("lbfgs.cuh", "combine", COUNT=rows, BLOCK=_BLOCK)
 
 
 def products(state: State, stack: Any, sums_out: Any) -> None:

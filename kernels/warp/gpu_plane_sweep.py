@@ -6,7 +6,6 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel, names_of
-from .threads import once
 
 BLOCK = 128
 _STRIPS = {(False, False): 6, (False, True): 6, (True, True): 7, (True, False): 10}
@@ -25,20 +24,17 @@ def kept_type(channels: int, stored: Any) -> Any:
     return pixel_type(4 if channels == 3 else 2, stored)
 
 
-@once
 def pack_kernel(channels: int, stored: Any) -> Any:
-    module, kept = f"lfgpu_gpu_plane_sweep_pack_{channels}_{stored.__name__}", kept_type(channels, stored)
+    kept = kept_type(channels, stored)
     types = {"Stored": pixel_type(channels, stored), "Kept": kept}
-    return kernel("plane_sweep.cuh", "pack", module=module, **types, CHANNELS=channels, PAD=kept._length_)
+    return kernel("plane_sweep.cuh", "pack", **types, CHANNELS=channels, PAD=kept._length_)
 
 
-@once
 def mark_kernel(channels: int, stored: Any) -> Any:
-    module, kept = f"lfgpu_gpu_plane_sweep_mark_{channels}_{stored.__name__}", kept_type(channels, stored)
-    return kernel("plane_sweep.cuh", "mark", module=module, Kept=kept, PAD=kept._length_)
+    kept = kept_type(channels, stored)
+    return kernel("plane_sweep.cuh", "mark", Kept=kept, PAD=kept._length_)
 
 
-@once
 def sweep_kernel(
     channels: int, stored: Any, sets: int, seen: bool, gradients: bool, rooted: bool, set_penalty: float
 ) -> Any:
@@ -58,5 +54,4 @@ def sweep_kernel(
         "WORD": "unsigned" if channels == 3 else "unsigned short",
         **names_of(kept),
     }
-    module = f"lfgpu_gpu_plane_sweep_{channels}_{stored.__name__}_{sets}_{seen:d}{gradients:d}{rooted:d}"
-    return kernel("plane_sweep.cuh", "sweep_strip", module=module, Kept=kept, Pixel=pixel_type(channels), **numbers)
+    return kernel("plane_sweep.cuh", "sweep_strip", Kept=kept, Pixel=pixel_type(channels), **numbers)

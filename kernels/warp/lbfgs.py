@@ -15,7 +15,8 @@ from .asking import asking
 from .gpu_lbfgs import LEAST_CURVATURE, State
 from .memory import scalar
 from .native_code import kernel
-from .threads import in_slices, launch, launch_rows, load, once
+from .pixels import Field, Volume, pixelwise
+from .threads import in_slices, launch, launch_rows, load
 
 wp.set_module_options({"enable_backward": False})
 
@@ -110,22 +111,9 @@ def _root_kernel(curvature: wp.array(dtype=float), root_out: wp.array(dtype=floa
     root_out[i] = root
 
 
-@wp.kernel
-def _project_kernel(
-    x: wp.array2d(dtype=float),
-    gradient: wp.array2d(dtype=float),
-    root: wp.array2d(dtype=float),
-    low: float,
-    high: float,
-    row: int,
-    lanes: int,
-    projected_out: wp.array2d(dtype=float),
-):
-    i = wp.tid()
-    y = row + i / lanes
-    lane = i % lanes
-    for j in range(lane, x.shape[1], lanes):
-        projected_out[y, j] = projected(gradient[y, j], x[y, j], low, high) / root[y, j]
+@pixelwise("lfgpu_lbfgs_project", light=True)
+def _project(y: int, x: int, at: Field, gradient: Field, root: Field, low: float, high: float, projected_out: Field):
+    projected_out[y, x] = projected(gradient[y, x], at[y, x], low, high) / root[y, x]
 
 
 @wp.kernel
@@ -157,11 +145,6 @@ def _advance_kernel(
             stack[2 * memory, y, j] = projected(turned, moved, low, high) / root[y, j]
             x[y, j] = moved
             gradient[y, j] = turned
-
-
-@once
-def _products_on_cpu_kernel() -> Any:
-    return kernel("vector.h", "find_products", module="lfgpu_lbfgs_cpu", State=State)
 
 
 @wp.kernel
@@ -246,31 +229,27 @@ def _direction_by_one_thread_kernel(
         state.slope[0] = slope
 
 
-@wp.kernel
-def _combine_kernel(
-    stack: wp.array3d(dtype=float),
+@pixelwise("lfgpu_lbfgs_combine")
+def _combine(
+    y: int,
+    x: int,
+    stack: Volume,
     coefficients: wp.array(dtype=wp.float64),
-    x: wp.array2d(dtype=float),
-    root: wp.array2d(dtype=float),
+    place: Field,
+    root: Field,
     low: float,
     high: float,
-    row: int,
-    lanes: int,
-    direction_out: wp.array2d(dtype=float),
+    direction_out: Field,
 ):
-    """Σ coefficients[r] stack[r] in the units of x, 0 where the bounds stop it or hold the pixel."""
-    i = wp.tid()
-    y = row + i / lanes
-    lane = i % lanes
-    for j in range(lane, x.shape[1], lanes):
-        total = float(0.0)
-        for r in range(stack.shape[0]):
-            c = float(coefficients[r])
-            if c != 0.0:
-                total = total + c * stack[r, y, j]
-        at = x[y, j]
-        stopped = (at <= low or at >= high) and stack[stack.shape[0] - 1, y, j] == 0.0
-        direction_out[y, j] = wp.where(stopped, 0.0, -projected(-total / root[y, j], at, low, high))
+    """Σ coefficients[r] stack[r] in the units of the place, 0 where the bounds stop it or hold the pixel."""
+    total = float(0.0)
+    for r in range(stack.shape[0]):
+        c = float(coefficients[r])
+        if c != 0.0:
+            total = total + c * stack[r, y, x]
+    at = place[y, x]
+    stopped = (at <= low or at >= high) and stack[stack.shape[0] - 1, y, x] == 0.0
+    direction_out[y, x] = wp.where(stopped, 0.0, -projected(-total / root[y, x], at, low, high))
 
 
 class _Lbfgs:
@@ -310,7 +289,7 @@ class _Lbfgs:
         launch(_begin_kernel, 1, [self._state, value], [self._trace], device=self._device)
         line = None if curvature is None else curvature.flatten()
         launch(_root_kernel, x.size, [line], [self._root.flatten()], device=self._device)
-        launch_rows(_project_kernel, [x, gradient, self._root, *self._bounds], self._stack[-1], light=True)
+        _project(x, gradient, self._root, *self._bounds, self._stack[-1])
         self._turn(x, beginning=True)
 
     def propose(self, x: Any, trial_out: Any) -> None:
@@ -336,7 +315,7 @@ class _Lbfgs:
         """Return a new direction from what is in the stack."""
         device, stack, state = self._device, self._stack, self._state
         if device.is_cpu:
-            products = _products_on_cpu_kernel()
+            products = kernel("vector.h", "find_products", State=State)
             load(device, products)
 
             def some(_: int, first: int, last: int) -> None:
@@ -353,7 +332,7 @@ class _Lbfgs:
             gpu_lbfgs.recursion(inputs, self._products, self._coefficients)
         inputs = [stack, self._coefficients, x, self._root, *self._bounds]
         if device.is_cpu:
-            launch_rows(_combine_kernel, inputs, self._direction)
+            _combine(*inputs, self._direction)
         else:
             gpu_lbfgs.combine(inputs, self._direction)
 

@@ -9,22 +9,20 @@ from lfgpu.contract import GRAIN_WINDOW
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import flat, launch, launch_rows, once
+from .threads import flat, launch, launch_rows
 
 _UNIT = math.sqrt(math.pi / 2) / 70  # squares of 1, -4, 6, -4, 1
 _BLOCK = 64  # columns that a CPU works on at a time
 _THREADS = 1024  # that find a quantile on a GPU
 
 
-@once
 def _quantile_kernel() -> Any:
-    return kernel("measuring.cuh", "find_quantile", module="lfgpu_gpu_quantile", BLOCK=_THREADS)
+    return kernel("measuring.cuh", "find_quantile", BLOCK=_THREADS)
 
 
-@once
 def _kernel(name: str, channels: int, block: int) -> Any:
     numbers = {"CHANNELS": channels, "WINDOW": GRAIN_WINDOW, "BLOCK": block}
-    return kernel("measuring.h", name, module=f"lfgpu_{name}_{channels}_{block}", Pixel=pixel_type(channels), **numbers)
+    return kernel("measuring.h", name, Pixel=pixel_type(channels), **numbers)
 
 
 def quantile(values: Any, share: float, *, quantile_out: Any, among: Any = None, least: Any = None) -> None:

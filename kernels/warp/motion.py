@@ -12,7 +12,8 @@ from typing import Any
 import warp as wp
 
 from .memory import pixel_type
-from .threads import launch_rows, load, once
+from .pixels import Field, pixelwise
+from .threads import once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -27,12 +28,13 @@ _SLIP = 0.4  # pixels by which motion may be wrong: so much of the gradients is 
 
 Sums = wp.types.vector(length=6, dtype=wp.float32)
 """Sums over a window: squared gradients xx, xy and yy, gradients times the difference in x and y, and its square."""
+_Sums: Any = wp.array2d(dtype=Sums)
+_Motion: Any = wp.array2d(dtype=wp.vec2)
 
 
 @once
 def _kernels(channels: int) -> SimpleNamespace:
     pixel = pixel_type(channels)
-    module = f"lfgpu_motion_{channels}"
 
     @wp.func
     def at(last: wp.array2d(dtype=pixel), y: float, x: float):
@@ -93,140 +95,125 @@ def _kernels(channels: int) -> SimpleNamespace:
                     total = total + wp.abs(gx[c]) + wp.abs(gy[c])
         return total / wp.static(9.0 * channels)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def products_kernel(
+    @pixelwise(f"lfgpu_motion_products_{channels}")
+    def products(
+        y: int,
+        x: int,
         image: wp.array2d(dtype=pixel),
         last: wp.array2d(dtype=pixel),
-        motion: wp.array2d(dtype=wp.vec2),
-        row: int,
-        lanes: int,
-        products_out: wp.array2d(dtype=Sums),
+        motion: _Motion,
+        products_out: _Sums,
     ):
-        i = wp.tid()
-        y = row + i / lanes
-        for x in range(i % lanes, image.shape[1], lanes):
-            w = motion[y, x]
-            gx = mean(gradient_x(image, y, x))
-            gy = mean(gradient_y(image, y, x))
-            error = mean(image[y, x] - at(last, float(y) + w[1], float(x) + w[0]))
-            target = error + gx * w[0] + gy * w[1]
-            products_out[y, x] = Sums(gx * gx, gx * gy, gy * gy, gx * target, gy * target, error * error)
+        w = motion[y, x]
+        gx = mean(gradient_x(image, y, x))
+        gy = mean(gradient_y(image, y, x))
+        error = mean(image[y, x] - at(last, float(y) + w[1], float(x) + w[0]))
+        target = error + gx * w[0] + gy * w[1]
+        products_out[y, x] = Sums(gx * gx, gx * gy, gy * gy, gx * target, gy * target, error * error)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def choose_kernel(
+    @pixelwise(f"lfgpu_motion_choose_{channels}")
+    def choose(
+        y: int,
+        x: int,
         image: wp.array2d(dtype=pixel),
         last: wp.array2d(dtype=pixel),
-        found: wp.array2d(dtype=wp.vec2),
+        found: _Motion,
         tolerance: float,
-        row: int,
-        lanes: int,
-        motion_out: wp.array2d(dtype=wp.vec2),
-        same_out: wp.array2d(dtype=float),
+        motion_out: _Motion,
+        same_out: Field,
     ):
-        i = wp.tid()
-        y = row + i / lanes
-        for x in range(i % lanes, image.shape[1], lanes):
-            best = found[y, x]
-            least = change(image, last, y, x, best)
-            bound = wp.static(_BETTER) * least
-            for k in range(9):
-                v = wp.clamp(y + (k / 3 - 1) * wp.static(_BESIDE), 0, image.shape[0] - 1)
-                u = wp.clamp(x + (k % 3 - 1) * wp.static(_BESIDE), 0, image.shape[1] - 1)
-                other = found[v, u]
-                if k == 4:
-                    other = wp.vec2(0.0, 0.0)
-                value = change(image, last, y, x, other)
-                if value < bound:
-                    bound = value
-                    least = value
-                    best = other
-            allowed = tolerance
-            if best[0] != 0.0 or best[1] != 0.0:
-                allowed = allowed + wp.static(_SLIP) * steepness(image, y, x)
-            ratio = least / allowed
-            square = ratio * ratio
-            motion_out[y, x] = best
-            same_out[y, x] = 1.0 / (1.0 + square * square * square * square)
+        best = found[y, x]
+        least = change(image, last, y, x, best)
+        bound = wp.static(_BETTER) * least
+        for k in range(9):
+            v = wp.clamp(y + (k / 3 - 1) * wp.static(_BESIDE), 0, image.shape[0] - 1)
+            u = wp.clamp(x + (k % 3 - 1) * wp.static(_BESIDE), 0, image.shape[1] - 1)
+            other = found[v, u]
+            if k == 4:
+                other = wp.vec2(0.0, 0.0)
+            value = change(image, last, y, x, other)
+            if value < bound:
+                bound = value
+                least = value
+                best = other
+        allowed = tolerance
+        if best[0] != 0.0 or best[1] != 0.0:
+            allowed = allowed + wp.static(_SLIP) * steepness(image, y, x)
+        ratio = least / allowed
+        square = ratio * ratio
+        motion_out[y, x] = best
+        same_out[y, x] = 1.0 / (1.0 + square * square * square * square)
 
-    return SimpleNamespace(products=products_kernel, choose=choose_kernel)
+    return SimpleNamespace(products=products, choose=choose)
 
 
-@wp.kernel
-def _across_kernel(products: wp.array2d(dtype=Sums), row: int, lanes: int, sums_out: wp.array2d(dtype=Sums)):
-    i = wp.tid()
-    y = row + i / lanes
-    for x in range(i % lanes, products.shape[1], lanes):
-        total = Sums()
-        for dx in range(-wp.static(_RADIUS), wp.static(_RADIUS + 1)):
-            total = total + products[y, wp.clamp(x + dx, 0, products.shape[1] - 1)]
-        sums_out[y, x] = total
+@pixelwise("lfgpu_motion_across")
+def _add_across(y: int, x: int, products: _Sums, sums_out: _Sums):
+    total = Sums()
+    for dx in range(-wp.static(_RADIUS), wp.static(_RADIUS + 1)):
+        total = total + products[y, wp.clamp(x + dx, 0, products.shape[1] - 1)]
+    sums_out[y, x] = total
 
 
-@wp.kernel
-def _solve_kernel(sums: wp.array2d(dtype=Sums), is_first: int, row: int, lanes: int, motion: wp.array2d(dtype=wp.vec2)):
-    i = wp.tid()
-    y = row + i / lanes
-    for x in range(i % lanes, sums.shape[1], lanes):
-        total = Sums()
-        for dy in range(-wp.static(_RADIUS), wp.static(_RADIUS + 1)):
-            total = total + sums[wp.clamp(y + dy, 0, sums.shape[0] - 1), x]
-        xx = total[0] + wp.static(_RIDGE)
-        yy = total[2] + wp.static(_RIDGE)
-        scale = 1.0 / (xx * yy - total[1] * total[1])
-        wx = (yy * total[3] - total[1] * total[4]) * scale
-        wy = (xx * total[4] - total[1] * total[3]) * scale
-        before = motion[y, x]
-        moves = before[0] != 0.0 or before[1] != 0.0
-        if is_first == 1:
-            moves = wx * total[3] + wy * total[4] > wp.static(_EXPLAINED) * total[5]
-        if moves:
-            wx = wp.clamp(wx, -wp.static(_FARTHEST), wp.static(_FARTHEST))
-            wy = wp.clamp(wy, -wp.static(_FARTHEST), wp.static(_FARTHEST))
-            motion[y, x] = wp.vec2(wx, wy)
+@pixelwise("lfgpu_motion_solve")
+def _solve(y: int, x: int, sums: _Sums, is_first: int, motion: _Motion):
+    total = Sums()
+    for dy in range(-wp.static(_RADIUS), wp.static(_RADIUS + 1)):
+        total = total + sums[wp.clamp(y + dy, 0, sums.shape[0] - 1), x]
+    xx = total[0] + wp.static(_RIDGE)
+    yy = total[2] + wp.static(_RIDGE)
+    scale = 1.0 / (xx * yy - total[1] * total[1])
+    wx = (yy * total[3] - total[1] * total[4]) * scale
+    wy = (xx * total[4] - total[1] * total[3]) * scale
+    before = motion[y, x]
+    moves = before[0] != 0.0 or before[1] != 0.0
+    if is_first == 1:
+        moves = wx * total[3] + wy * total[4] > wp.static(_EXPLAINED) * total[5]
+    if moves:
+        wx = wp.clamp(wx, -wp.static(_FARTHEST), wp.static(_FARTHEST))
+        wy = wp.clamp(wy, -wp.static(_FARTHEST), wp.static(_FARTHEST))
+        motion[y, x] = wp.vec2(wx, wy)
 
 
-@wp.kernel
-def _carry_kernel(
-    motion: wp.array2d(dtype=wp.vec2),
-    past: wp.array2d(dtype=float),
-    frames: wp.array2d(dtype=float),
-    rate: wp.array2d(dtype=float),
-    confidence: wp.array2d(dtype=float),
+@pixelwise("lfgpu_motion_carry")
+def _carry(
+    y: int,
+    x: int,
+    motion: _Motion,
+    past: Field,
+    frames: Field,
+    rate: Field,
+    confidence: Field,
     support: float,
-    row: int,
-    lanes: int,
-    past_out: wp.array2d(dtype=float),
-    frames_out: wp.array2d(dtype=float),
-    rate_out: wp.array2d(dtype=float),
-    confidence_out: wp.array2d(dtype=float),
+    past_out: Field,
+    frames_out: Field,
+    rate_out: Field,
+    confidence_out: Field,
 ):
-    i = wp.tid()
-    y = row + i / lanes
     height = past.shape[0]
     width = past.shape[1]
-    for x in range(i % lanes, width, lanes):
-        w = motion[y, x]
-        cx = wp.clamp(float(x) + w[0], 0.0, float(width - 1))
-        cy = wp.clamp(float(y) + w[1], 0.0, float(height - 1))
-        top = int(cy)
-        left = int(cx)
-        ay = cy - float(top)
-        ax = cx - float(left)
-        nearest = past[int(cy + 0.5), int(cx + 0.5)]
-        total = wp.vec4(0.0, 0.0, 0.0, 0.0)
-        weights = float(0.0)
-        for k in range(4):
-            v = wp.min(top + k / 2, height - 1)
-            u = wp.min(left + k % 2, width - 1)
-            weight = wp.where(k / 2 == 0, 1.0 - ay, ay) * wp.where(k % 2 == 0, 1.0 - ax, ax)
-            if wp.abs(past[v, u] - nearest) <= support:
-                total = total + weight * wp.vec4(past[v, u], frames[v, u], rate[v, u], confidence[v, u])
-                weights = weights + weight
-        total = total / weights
-        past_out[y, x] = total[0] + total[2]
-        frames_out[y, x] = total[1]
-        rate_out[y, x] = total[2]
-        confidence_out[y, x] = total[3]
+    w = motion[y, x]
+    cx = wp.clamp(float(x) + w[0], 0.0, float(width - 1))
+    cy = wp.clamp(float(y) + w[1], 0.0, float(height - 1))
+    top = int(cy)
+    left = int(cx)
+    ay = cy - float(top)
+    ax = cx - float(left)
+    nearest = past[int(cy + 0.5), int(cx + 0.5)]
+    total = wp.vec4(0.0, 0.0, 0.0, 0.0)
+    weights = float(0.0)
+    for k in range(4):
+        v = wp.min(top + k / 2, height - 1)
+        u = wp.min(left + k % 2, width - 1)
+        weight = wp.where(k / 2 == 0, 1.0 - ay, ay) * wp.where(k % 2 == 0, 1.0 - ax, ax)
+        if wp.abs(past[v, u] - nearest) <= support:
+            total = total + weight * wp.vec4(past[v, u], frames[v, u], rate[v, u], confidence[v, u])
+            weights = weights + weight
+    total = total / weights
+    past_out[y, x] = total[0] + total[2]
+    frames_out[y, x] = total[1]
+    rate_out[y, x] = total[2]
+    confidence_out[y, x] = total[3]
 
 
 class Motion:
@@ -236,28 +223,14 @@ class Motion:
         self._kernels = _kernels(image.dtype._length_)
         self._found, self._motion = (wp.zeros(image.shape, dtype=wp.vec2, device=image.device) for _ in range(2))
         self._products, self._sums = (wp.zeros(image.shape, dtype=Sums, device=image.device) for _ in range(2))
-        load(image.device, self._kernels.products, self._kernels.choose, _carry_kernel)
 
     def find(self, image: Any, last: Any, *, tolerance: float, same_out: Any) -> None:
         self._found.zero_()
         for step in range(_STEPS):
-            launch_rows(self._kernels.products, [image, last, self._found], self._products)
-            launch_rows(_across_kernel, [self._products], self._sums)
-            launch_rows(_solve_kernel, [self._sums, int(step == 0)], self._found)
-        launch_rows(self._kernels.choose, [image, last, self._found, tolerance], self._motion, same_out)
+            self._kernels.products(image, last, self._found, self._products)
+            _add_across(self._products, self._sums)
+            _solve(self._sums, int(step == 0), self._found)
+        self._kernels.choose(image, last, self._found, tolerance, self._motion, same_out)
 
-    def carry(
-        self,
-        past: Any,
-        frames: Any,
-        rate: Any,
-        confidence: Any,
-        *,
-        support: float,
-        past_out: Any,
-        frames_out: Any,
-        rate_out: Any,
-        confidence_out: Any,
-    ) -> None:
-        inputs = [self._motion, past, frames, rate, confidence, support]
-        launch_rows(_carry_kernel, inputs, past_out, frames_out, rate_out, confidence_out)
+    def carry(self, *maps: Any, **named: Any) -> None:
+        _carry(self._motion, *maps, **named)

@@ -13,12 +13,15 @@ The text that Warp gets holds all of that, so that a change of a file compiles a
 
 import linecache
 import re
+import zlib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import warp as wp
+
+from .threads import once
 
 _FOLDER = Path(__file__).parent / "native"
 _INCLUDE = re.compile(r'^#include "(.+)"$', re.MULTILINE)
@@ -141,13 +144,36 @@ def function(file: str, name: str, **given: Any) -> Any:
     return wp.func_native(f"{read}{{\n{body}}}\n" if read else body)(stub)
 
 
-def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] | None = None, **given: Any) -> Any:
-    """Make a kernel that is a function of a file of `native`, specialised as by `function`.
+def kernel(
+    file: str,
+    name: str,
+    *,
+    module: str | None = None,
+    launch_bounds: tuple[int, int] | None = None,
+    wide: bool = False,
+    **given: Any,
+) -> Any:
+    """Make a kernel that is a function of a file of `native`, specialised as by `function`, the first time; keep it.
 
     An argument `int tid` at the beginning is the index of the thread; the others are given when it is launched.
-    `module` is the module of Warp that it is compiled in, one for each specialisation; `launch_bounds` are the threads
-    of a block on a GPU, and the blocks that a multiprocessor is to hold at once.
+    `module` is the module of Warp that it is compiled in, by default one for each specialisation; `launch_bounds` are
+    the threads of a block on a GPU, and the blocks that a multiprocessor is to hold at once. With `wide`, it is
+    compiled for the widest vectors that the CPU has: compilers use 256 of 512 bits where nobody says so, as the first
+    CPUs with more were slower with them.
     """
+    return _kept(file, name, module, launch_bounds, wide, tuple(given.items()))
+
+
+@once
+def _kept(
+    file: str,
+    name: str,
+    module: str | None,
+    launch_bounds: tuple[int, int] | None,
+    wide: bool,
+    items: tuple[tuple[str, Any], ...],
+) -> Any:
+    given = dict(items)
     types, _ = _split(given)
     native = function(file, name, **given)
     arguments = dict(_annotations(_parts(file)[name].arguments or "", types))
@@ -156,4 +182,18 @@ def kernel(file: str, name: str, *, module: str, launch_bounds: tuple[int, int] 
     names = {"wp": wp, "native": native}
     called = {argument: kind for argument, kind in arguments.items() if not (indexed and argument == "tid")}
     calling = defined(f"{name}_kernel", called, f"native({passed})", names)
-    return wp.kernel(calling, module=module, enable_backward=False, launch_bounds=launch_bounds)
+    if module is None:
+        kind = zlib.crc32(repr([(key, _said(value)) for key, value in items]).encode())
+        module = f"lfgpu_{file.replace('.', '_')}_{name}_{kind:08x}"
+    found = wp.kernel(calling, module=module, enable_backward=False, launch_bounds=launch_bounds)
+    if wide:
+        flags = wp.config.cpu_compiler_flags or "-march=native"  # Warp's default
+        wp.set_module_options({"cpu_compiler_flags": f"{flags} -mprefer-vector-width=512"}, found.module)
+    return found
+
+
+def _said(value: Any) -> str:
+    """Write what a kernel is specialised for, the same in each process."""
+    if isinstance(value, type):
+        return f"{getattr(value, '_wp_scalar_type_', value).__name__}{getattr(value, '_length_', '')}"
+    return value.key if hasattr(value, "vars") else repr(value)

@@ -1,7 +1,6 @@
 """Non-local-means weights and the two linear operators that they make; `kernels/reference/nlm.py` says which."""
 
 from collections.abc import Sequence
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,6 +10,7 @@ from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
 
 from .memory import pixel_type
 from .native_code import function, kernel
+from .pixels import pixelwise
 from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, room_for
 
 wp.set_module_options({"enable_backward": False})
@@ -20,42 +20,62 @@ _TILE = (8, 32)  # rows and columns of pixels of a block that finds weights
 
 
 @once
-def _feature_kernels(channels: int) -> SimpleNamespace:
-    pixel, feature = pixel_type(channels), pixel_type(3 * channels)
-    module = f"lfgpu_nlm_{channels}"
+def _features(channels: int, planar: bool) -> Any:
+    """Return what finds colours and their central differences in x and y, times `color` and `gradient`.
 
-    @wp.kernel(module=module, enable_backward=False)
-    def features_kernel(
+    A CPU keeps them as planes.
+    """
+    pixel, feature = pixel_type(channels), pixel_type(3 * channels)
+
+    @wp.func
+    def features_at(
+        image: wp.array2d(dtype=pixel),
+        y: int,
+        x: int,
+        color_given: float,
+        sigma: wp.array(dtype=wp.float64),
+        root: wp.float64,
+        gradient: float,
+    ) -> feature:
+        color = color_given
+        if sigma:
+            color = float(wp.float64(1.0) / (sigma[0] * root))
+        here = image[y, x] * color
+        across = image[y, wp.min(x + 1, image.shape[1] - 1)] - image[y, wp.max(x - 1, 0)]
+        down = image[wp.min(y + 1, image.shape[0] - 1), x] - image[wp.max(y - 1, 0), x]
+        f = feature()
+        for c in range(wp.static(channels)):
+            f[c] = here[c]
+            f[c + wp.static(channels)] = 0.5 * gradient * across[c]
+            f[c + wp.static(2 * channels)] = 0.5 * gradient * down[c]
+        return f
+
+    @pixelwise(f"lfgpu_nlm_features_{channels}_{planar:d}")
+    def features(
+        y: int,
+        x: int,
         image: wp.array2d(dtype=pixel),
         color_given: float,
         sigma: wp.array(dtype=wp.float64),
         root: wp.float64,
         gradient: float,
-        row: int,
-        lanes: int,
-        features_out: wp.array2d(dtype=feature),
+        features_out: wp.array(dtype=float if planar else feature, ndim=3 if planar else 2),
     ):
-        """Colour and its central differences in x and y, times `color` and `gradient`."""
-        color = color_given
-        if sigma:
-            color = float(wp.float64(1.0) / (sigma[0] * root))
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
-        height = image.shape[0]
-        width = image.shape[1]
-        for x in range(lane, width, lanes):
-            here = image[y, x] * color
-            across = image[y, wp.min(x + 1, width - 1)] - image[y, wp.max(x - 1, 0)]
-            down = image[wp.min(y + 1, height - 1), x] - image[wp.max(y - 1, 0), x]
-            f = feature()
-            for c in range(wp.static(channels)):
-                f[c] = here[c]
-                f[c + wp.static(channels)] = 0.5 * gradient * across[c]
-                f[c + wp.static(2 * channels)] = 0.5 * gradient * down[c]
-            features_out[y, x] = f
+        found = features_at(image, y, x, color_given, sigma, root, gradient)
+        if wp.static(planar):
+            for c in range(wp.static(3 * channels)):
+                features_out[c, y, x] = found[c]
+        else:
+            features_out[y, x] = found
 
-    @wp.kernel(module=module, enable_backward=False)
+    return features
+
+
+@once
+def _patch_weight_kernel(channels: int) -> Any:
+    pixel = pixel_type(channels)
+
+    @wp.kernel(module=f"lfgpu_nlm_{channels}", enable_backward=False)
     def patch_weight_kernel(
         image: wp.array2d(dtype=pixel),
         half_window: wp.array(dtype=wp.vec2i),
@@ -91,49 +111,12 @@ def _feature_kernels(channels: int) -> SimpleNamespace:
                 weight = wp.max(wp.exp(-total), floor)
             weights_out[k, y, x] = weight
 
-    return SimpleNamespace(features=features_kernel, patch_weight=patch_weight_kernel)
+    return patch_weight_kernel
 
 
-@once
-def _cpu_kernels(channels: int) -> SimpleNamespace:
-    pixel, module = pixel_type(channels), f"lfgpu_cpu_nlm_{channels}"
-
-    @wp.kernel(module=module, enable_backward=False)
-    def features_kernel(
-        image: wp.array2d(dtype=pixel),
-        color_given: float,
-        sigma: wp.array(dtype=wp.float64),
-        root: wp.float64,
-        gradient: float,
-        row: int,
-        lanes: int,
-        features_out: wp.array3d(dtype=float),
-    ):
-        """Colour and its central differences in x and y, times `color` and `gradient`, as planes."""
-        color = color_given
-        if sigma:
-            color = float(wp.float64(1.0) / (sigma[0] * root))
-        y = row + wp.tid()
-        height = image.shape[0]
-        width = image.shape[1]
-        for x in range(width):
-            here = image[y, x] * color
-            across = image[y, wp.min(x + 1, width - 1)] - image[y, wp.max(x - 1, 0)]
-            down = image[wp.min(y + 1, height - 1), x] - image[wp.max(y - 1, 0), x]
-            for c in range(wp.static(channels)):
-                features_out[c, y, x] = here[c]
-                features_out[c + wp.static(channels), y, x] = 0.5 * gradient * across[c]
-                features_out[c + wp.static(2 * channels), y, x] = 0.5 * gradient * down[c]
-
-    weigh = kernel("nlm.h", "weigh_neighbors", module=module, FEATURES=3 * channels)
-    return SimpleNamespace(features=features_kernel, weights=weigh)
-
-
-@once
 def _tile_kernel(channels: int, radius: int) -> Any:
     numbers = {"ROWS": _TILE[0], "COLUMNS": _TILE[1], "RADIUS": radius, "FEATURES": 3 * channels}
-    module = f"lfgpu_nlm_gpu_weights_{channels}_{radius}"
-    return kernel("nlm.cuh", "weigh_tile", module=module, Feature=pixel_type(3 * channels), **numbers)
+    return kernel("nlm.cuh", "weigh_tile", Feature=pixel_type(3 * channels), **numbers)
 
 
 # In the two operators the loop over the window is the outer one: what a row adds up stays in cache, and the weights are
@@ -174,11 +157,9 @@ def _operator(name: str, term: str, keep: float) -> Any:
     return operator_kernel
 
 
-@once
-def _gpu_operator(name: str, term: str, keep: float, radius: int) -> Any:
+def _gpu_operator(term: str, keep: float, radius: int) -> Any:
     """Return the GPU's kernel: several threads for each pixel."""
-    numbers, module = {"TERM": term, "KEEP": keep, "RADIUS": radius}, f"lfgpu_nlm_gpu_{name}_{radius}"
-    return kernel("nlm.cuh", "add_neighbors", module=module, **numbers)
+    return kernel("nlm.cuh", "add_neighbors", TERM=term, KEEP=keep, RADIUS=radius)
 
 
 @once
@@ -199,18 +180,19 @@ def nlm_weights(
     gradients: PatchGradients = "central",
 ) -> NlmWeights:
     (height, width, channels), place = shape, wp.get_device(device)
-    kernels, steps, is_mean = _feature_kernels(channels), window_on(window, device), int(over_patch == "mean")
+    steps, is_mean = window_on(window, device), int(over_patch == "mean")
     if gradients == "patch":
         factors = [1 / (sigma**2 * channels) for sigma in (sigma_color, sigma_gradient)]
+        by_patches = _patch_weight_kernel(channels)
 
         def weigh_by_patches(image: Any, weights_out: Any) -> None:
             threads = lanes(image)
-            load(place, kernels.patch_weight)
+            load(place, by_patches)
 
             def some_neighbors(_: int, first: int, last: int) -> None:
                 inputs = [image, steps[first:last], patch // 2, *factors, floor, is_mean, threads]
                 dim = (last - first, height, threads)
-                launch(kernels.patch_weight, dim, inputs, [weights_out[first:last]], device=place)
+                launch(by_patches, dim, inputs, [weights_out[first:last]], device=place)
 
             in_slices(place, len(steps), some_neighbors)
 
@@ -218,16 +200,17 @@ def nlm_weights(
     root, gradient = channels**0.5, 1 / (sigma_gradient * channels**0.5)
     color = [0.0, sigma_color, root] if isinstance(sigma_color, wp.array) else [1 / (sigma_color * root), None, root]
     if place.is_cpu:
-        on_cpu, planes = _cpu_kernels(channels), wp.empty((3 * channels, height, width), dtype=float, device=place)
+        on_cpu = kernel("nlm.h", "weigh_neighbors", FEATURES=3 * channels)
+        planes = wp.empty((3 * channels, height, width), dtype=float, device=place)
         room = room_for(place, len(steps), width + 2 * (patch // 2) + (1 + patch) * width)
 
         def weigh_planes(image: Any, weights_out: Any) -> None:
-            launch_rows(on_cpu.features, [image, *color, gradient], planes)
-            load(place, on_cpu.weights)
+            _features(channels, True)(image, *color, gradient, planes)
+            load(place, on_cpu)
 
             def some_neighbors(part: int, first: int, last: int) -> None:
                 inputs = [planes, steps[first:last], patch // 2, floor, is_mean, room[part]]
-                launch(on_cpu.weights, 1, inputs, [weights_out[first:last]], device=place)
+                launch(on_cpu, 1, inputs, [weights_out[first:last]], device=place)
 
             in_slices(place, len(steps), some_neighbors)
 
@@ -238,7 +221,7 @@ def nlm_weights(
     check_size(threads)
 
     def weigh(image: Any, weights_out: Any) -> None:
-        launch_rows(kernels.features, [image, *color, gradient], features)
+        _features(channels, False)(image, *color, gradient, features)
         inputs = [features, steps, floor, is_mean]
         launch(_tile_kernel(channels, patch // 2), threads, inputs, [weights_out], device=place, block_dim=block)
 
@@ -251,7 +234,7 @@ def nlm_neighbors(weights: Any, values: Any, *, window: int, sums_out: Any) -> N
             _operator("neighbors", "s[x] += w[x + back] * o[x + dx]", 1.0), weights, values, None, window, sums_out
         )
     else:
-        launch_pixels(_gpu_operator("neighbors", "other", 1.0, window // 2), [weights, values, None], window, sums_out)
+        launch_pixels(_gpu_operator("other", 1.0, window // 2), [weights, values, None], window, sums_out)
 
 
 def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any, diagonal: Any | None = None) -> None:
@@ -259,7 +242,7 @@ def nlm_laplacian(weights: Any, values: Any, *, window: int, laplacian_out: Any,
         flow = "s[x] += w[x + back] * (h[x] - o[x + dx])"
         _by_rows(_operator("laplacian", flow, 0.0), weights, values, diagonal, window, laplacian_out)
     else:
-        operator = _gpu_operator("laplacian", "(here - other)", 0.0, window // 2)
+        operator = _gpu_operator("(here - other)", 0.0, window // 2)
         launch_pixels(operator, [weights, values, diagonal], window, laplacian_out)
 
 

@@ -6,20 +6,14 @@ import warp as wp
 
 from .native_code import kernel
 from .nlm import launch_pixels, window_on
-from .threads import launch_rows, once
+from .threads import launch_rows
 from .vector import given
 
 wp.set_module_options({"enable_backward": False})
 
 
-@once
-def _cpu_kernel(name: str) -> Any:
-    return kernel("nlm.h", name, module=f"lfgpu_nlm_{name}")
-
-
-@once
 def _gpu_kernel(name: str, radius: int) -> Any:
-    return kernel("nlm.cuh", name, module=f"lfgpu_nlm_gpu_{name}_{radius}", RADIUS=radius)
+    return kernel("nlm.cuh", name, RADIUS=radius)
 
 
 def nlm_ratio(
@@ -35,7 +29,7 @@ def nlm_ratio(
 ) -> None:
     device, fields, numbers = guide.device, [weights, guide, numerator, denominator], [support, *given(floor)]
     if device.is_cpu:
-        launch_rows(_cpu_kernel("divide_sums"), [*fields, window_on(window, device.alias), *numbers], ratio_out)
+        launch_rows(kernel("nlm.h", "divide_sums"), [*fields, window_on(window, device.alias), *numbers], ratio_out)
     else:
         launch_pixels(_gpu_kernel("divide_sums", window // 2), [*fields, *numbers], window, ratio_out)
 
@@ -45,7 +39,9 @@ def nlm_plane(
 ) -> None:
     device, fields = values.device, [weights, values, certainty]
     if device.is_cpu:
-        launch_rows(_cpu_kernel("fit_planes"), [*fields, window_on(window, device.alias), support, ridge], plane_out)
+        launch_rows(
+            kernel("nlm.h", "fit_planes"), [*fields, window_on(window, device.alias), support, ridge], plane_out
+        )
     else:
         launch_pixels(_gpu_kernel("fit_planes", window // 2), [*fields, support, ridge], window, plane_out)
 

@@ -11,24 +11,16 @@ from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH, Rows
 from .memory import pixel_type
 from .native_code import c_type, kernel
 from .pixels import Field, pixelwise
-from .threads import launch, launch_slices, once, with_wide_vectors
+from .threads import launch, launch_slices
 
 _LEAST_ODDS, _LEAST_WIDTH = wp.constant(LEAST_ODDS), wp.constant(LEAST_WIDTH)
 _Weights = wp.types.vector(length=3, dtype=float)
 
 
-@once
-def _rows_kernel(stored: Any) -> Any:
-    numbers = {"FOLD": FOLD, "REACH": PEAK_REACH, "STORED": c_type(stored, for_vectors=True)}
-    types, module = {"Logits": pixel_type(FOLD**2, stored)}, f"lfgpu_peak_{stored.__name__}"
-    return with_wide_vectors(kernel("peak.h", "find_peaks", module=module, **types, **numbers))
-
-
-@once
-def _pixel_kernel(stored: Any) -> Any:
-    numbers = {"FOLD": FOLD, "REACH": PEAK_REACH, "STORED": c_type(stored)}
-    types, module = {"Logits": pixel_type(FOLD**2, stored)}, f"lfgpu_gpu_peak_{stored.__name__}"
-    return kernel("peak.cuh", "find_peak", module=module, **types, **numbers)
+def _kernel(stored: Any, on_cpu: bool) -> Any:
+    file, name = ("peak.h", "find_peaks") if on_cpu else ("peak.cuh", "find_peak")
+    numbers = {"FOLD": FOLD, "REACH": PEAK_REACH, "STORED": c_type(stored, for_vectors=on_cpu)}
+    return kernel(file, name, wide=on_cpu, Logits=pixel_type(FOLD**2, stored), **numbers)
 
 
 def peak(
@@ -46,9 +38,9 @@ def peak(
     if not logits.device.is_cpu:
         height, width = first.shape
         begin, pixels = FOLD * top * width, (min(FOLD * bottom, height) - FOLD * top) * width
-        launch(_pixel_kernel(stored), max(pixels, 0), [logits, first, step, begin], outputs, device=logits.device)
+        launch(_kernel(stored, False), max(pixels, 0), [logits, first, step, begin], outputs, device=logits.device)
         return
-    launch_slices(_rows_kernel(stored), bottom - top, [logits, first, step, top], *outputs)
+    launch_slices(_kernel(stored, True), bottom - top, [logits, first, step, top], *outputs)
 
 
 @pixelwise("lfgpu_judge_peak")

@@ -17,11 +17,11 @@ Number: Any = type("Number", (), {})
 """The type of an argument that is a number, or a scalar on the device that holds it."""
 
 
-def pixelwise(module: str) -> Callable[[Any], Callable[..., None]]:
+def pixelwise(module: str, *, light: bool = False) -> Callable[[Any], Callable[..., None]]:
     """Make an operation of a function of the pixel (y, x), which writes there what its further arguments hold.
 
     The operation has these arguments. Its pixels are those of the last array among them. `module` is the module of Warp
-    that the kernel is compiled in.
+    that the kernel is compiled in; `light` is that of `launch_rows`.
     """
 
     def made(function: Any) -> Callable[..., None]:
@@ -48,7 +48,7 @@ def pixelwise(module: str) -> Callable[[Any], Callable[..., None]]:
             for name, kind in kinds.items():
                 if name != last:
                     inputs += given(values[name]) if kind is Number else [values[name]]
-            launch_rows(kernel, inputs, values[last])
+            launch_rows(kernel, inputs, values[last], light=light)
 
         return operation
 

@@ -15,7 +15,7 @@ from lfgpu.contract import UNSEEN, Details, Disparities, sweep_shifts
 
 from .memory import pixel_type, start
 from .native_code import kernel
-from .threads import check_size, in_slices, launch, launch_rows, load, once, slices
+from .threads import check_size, in_slices, launch, launch_rows, load, slices
 from .views import indices
 
 _BLOCK = 128  # columns that a CPU works on at a time
@@ -26,16 +26,14 @@ def _block(device: Any) -> int:
     return _BLOCK if device.is_cpu else 1
 
 
-@once
 def _shrink_kernel(channels: int, stored: Any, block: int) -> Any:
-    module, types = f"lfgpu_shrink_{channels}_{stored.__name__}_{block}", {"Stored": pixel_type(channels, stored)}
-    return kernel("range_search.h", "shrink", module=module, **types, BLOCK=block, CHANNELS=channels)
+    stored_pixel = pixel_type(channels, stored)
+    return kernel("range_search.h", "shrink", Stored=stored_pixel, BLOCK=block, CHANNELS=channels)
 
 
-@once
 def _kernel(name: str, block: int) -> Any:
     """Any other kernel: it knows fields only."""
-    return kernel("range_search.h", name, module=f"lfgpu_range_search_{name}_{block}", BLOCK=block, UNSEEN=UNSEEN)
+    return kernel("range_search.h", name, BLOCK=block, UNSEEN=UNSEEN)
 
 
 def shrink(views: Any, chosen: Sequence[int], valid: Any, *, scale: float, factor: int, images_out: Any) -> None:

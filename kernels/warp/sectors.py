@@ -12,34 +12,27 @@ from .cpu_plane_sweep import keep_views, kept_type, loading_kernels
 from .gpu_plane_sweep import kept_type as gpu_kept_type, pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
-from .threads import check_size, flat, launch, launch_slices, once, with_wide_vectors
+from .threads import check_size, flat, launch, launch_slices, once
 from .vector import dot
 
 _MORE = 17  # columns of views that nothing reads: rows of all views would share few places of a cache
 _CHUNK = 128  # columns whose costs stay in a cache
-_NUMBERS = {"SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT}
+_NUMBERS: dict[str, Any] = {"SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT}
 _BLOCK = 128  # threads of a GPU, each with a pixel
 
 
-@once
 def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
-    numbers: dict[str, Any] = {**_NUMBERS, "CHANNELS": channels, "CHUNK": _CHUNK}
+    numbers = {**_NUMBERS, "CHANNELS": channels, "CHUNK": _CHUNK, "STORED": c_type(costs, for_vectors=True)}
     types = {"Kept": kept_type(stored), "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
-    module = f"lfgpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
-    found = kernel(
-        "sectors.h", "find_sector_costs", module=module, **types, **numbers, STORED=c_type(costs, for_vectors=True)
-    )
-    return with_wide_vectors(found)
+    return kernel("sectors.h", "find_sector_costs", wide=True, **types, **numbers)
 
 
-@once
 def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
     kept = gpu_kept_type(channels, stored)
     numbers: dict[str, Any] = {**_NUMBERS, "CHANNELS": channels, "BLOCK": _BLOCK}
     types = {"Kept": kept, "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
-    module = f"lfgpu_gpu_sectors_{channels}_{stored.__name__}_{costs.__name__}"
     numbers |= {"STORED": c_type(costs), "BYTES": {wp.uint8: 1, wp.uint16: 2}.get(stored, 0), **names_of(kept)}
-    return kernel("sectors.cuh", "find_sector_costs", module=module, **types, **numbers)
+    return kernel("sectors.cuh", "find_sector_costs", **types, **numbers)
 
 
 class _SectorCosts:

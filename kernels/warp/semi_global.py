@@ -11,7 +11,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, is_preparing, launch, launch_slices, once, room_for, with_wide_vectors
+from .threads import check_size, is_preparing, launch, launch_slices, room_for
 from .vector import given
 
 _DIRECTIONS = ((1, -1), (1, 0), (1, 1), (0, 1), (-1, -1), (-1, 0), (-1, 1), (0, -1))  # (dy, dx)
@@ -27,31 +27,24 @@ _ROOM = 2**29  # bytes: volumes that a GPU needs besides, at most, unless two ar
 _STEPS = dict(zip(("DOWNWARDS", "SIDEWAYS"), zip(*_DIRECTIONS, strict=True), strict=True))
 
 
-@once
 def _blocks_kernel(channels: int) -> Any:
     # Of two rows one after the other, the places whose numbers alternate in a merged row.
     left, right = np.arange(2 * _CHUNK).reshape(2, 2, -1).transpose(1, 2, 0).reshape(2, -1).tolist()
     numbers = {"CHANNELS": channels, "BLOCK": _BLOCK, "CHUNK": _CHUNK, "LEFT": tuple(left), "RIGHT": tuple(right)}
-    module, types = f"lfgpu_semi_global_{channels}", {"Pixel": pixel_type(channels)}
-    return with_wide_vectors(kernel("semi_global.h", "follow_blocks", module=module, **types, **numbers))
+    return kernel("semi_global.h", "follow_blocks", wide=True, Pixel=pixel_type(channels), **numbers)
 
 
-@once
 def _step_costs_kernel(channels: int) -> Any:
-    module, types = f"lfgpu_gpu_semi_global_steps_{channels}", {"Pixel": pixel_type(channels)}
-    return kernel("semi_global.cuh", "find_step_costs", module=module, **types, CHANNELS=channels, **_STEPS)
+    return kernel("semi_global.cuh", "find_step_costs", Pixel=pixel_type(channels), CHANNELS=channels, **_STEPS)
 
 
-@once
 def _path_kernel(each: int) -> Any:
     """Return the kernel for `each` disparities on each thread."""
-    module, ahead = f"lfgpu_gpu_semi_global_{each}", max(1, _AHEAD // each)
-    return kernel("semi_global.cuh", "follow_path", module=module, EACH=each, AHEAD=ahead, **_STEPS)
+    return kernel("semi_global.cuh", "follow_path", EACH=each, AHEAD=max(1, _AHEAD // each), **_STEPS)
 
 
-@once
 def _turn_kernel() -> Any:
-    return kernel("semi_global.cuh", "turn", module="lfgpu_gpu_semi_global_turn", TILE=_TILE, TURNING=_TURNING)
+    return kernel("semi_global.cuh", "turn", TILE=_TILE, TURNING=_TURNING)
 
 
 def semi_global(

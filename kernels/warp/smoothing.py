@@ -34,26 +34,17 @@ def _types(channels: int, stored: Any) -> dict[str, Any]:
 
 
 @once
-def _rows_kernel(channels: int, stored: Any) -> Any:
-    module, numbers = f"lfgpu_smoothing_{channels}_{stored.__name__}", {**_NUMBERS, "RING": _RING, "LANES": _LANES}
-    return kernel("smoothing.h", "smooth_rows", module=module, **_types(channels, stored), **numbers)
-
-
-@once
 def _tiles_kernel(channels: int, stored: Any) -> Any:
-    module = f"lfgpu_gpu_smoothing_{channels}_{stored.__name__}"
     numbers = {**_NUMBERS, "ROWS": _TILE[0], "COLUMNS": _TILE[1], "PIXELS": _PIXELS, "THREADS": _THREADS}
-    tiles = kernel("smoothing.cuh", "smooth_tile", module=module, **_types(channels, stored), **numbers)
+    tiles = kernel("smoothing.cuh", "smooth_tile", **_types(channels, stored), **numbers)
     tiles.module.options["fast_math"] = True  # divisions that need not look at numbers near those that underflow
     return tiles
 
 
-@once
 def _reduce_kernel(channels: int, stored: Any) -> Any:
-    module, reduced = f"lfgpu_reduce_{channels}_{stored.__name__}", pixel_type(channels, wp.uint16)
-    types = {"Stored": pixel_type(channels, stored), "Reduced": reduced}
+    types = {"Stored": pixel_type(channels, stored), "Reduced": pixel_type(channels, wp.uint16)}
     numbers = {"CHANNELS": channels, "REDUCTION": REDUCTION, "WHITE": WHITE}
-    return kernel("smoothing.h", "reduce_rows", module=module, **types, **numbers)
+    return kernel("smoothing.h", "reduce_rows", **types, **numbers)
 
 
 def smooth_views(views: Any, valid: Any, *, scale: float, deviation: Any, views_out: Any) -> None:
@@ -68,8 +59,8 @@ def smooth_views(views: Any, valid: Any, *, scale: float, deviation: Any, views_
     wide = width + 2 * (SMOOTHING_REACH + 1) + _LANES
     room = room_for(device, n * height, (_RING * (2 * channels + 2) + 1) * wide)
     room.zero_()
-    inputs = [views, valid, scale, *given(deviation)]
-    launch_slices(_rows_kernel(channels, stored), n * height, inputs, views_out, room=room)
+    smooth = kernel("smoothing.h", "smooth_rows", **_types(channels, stored), **_NUMBERS, RING=_RING, LANES=_LANES)
+    launch_slices(smooth, n * height, [views, valid, scale, *given(deviation)], views_out, room=room)
 
 
 def reduce_views(views: Any, valid: Any, *, scale: float, views_out: Any, valid_out: Any) -> None:

@@ -10,6 +10,7 @@ from lfgpu.contract import DataTerm
 
 from .gpu_data_term import GpuDataTerm, curvature, curvature_factor
 from .memory import pixel_type
+from .pixels import Field, Volume, pixelwise
 from .threads import in_slices, launch, launch_rows, load, once, slices
 
 
@@ -185,23 +186,15 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             total = total + wp.dot(value, value)
         wp.atomic_add(squares_out, first + n, y, total)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def total_kernel(gradients: wp.array3d(dtype=float), row: int, lanes: int, gradient_out: wp.array2d(dtype=float)):
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
-        for x in range(lane, gradients.shape[2], lanes):
-            total = float(0.0)
-            for k in range(gradients.shape[0]):
-                total = total + gradients[k, y, x]
-            gradient_out[y, x] = total
+    return SimpleNamespace(splat=splat_kernel, vjp=vjp_kernel, residual=residual_kernel)
 
-    return SimpleNamespace(
-        total=total_kernel,
-        splat=splat_kernel,
-        vjp=vjp_kernel,
-        residual=residual_kernel,
-    )
+
+@pixelwise("lfgpu_splat_total")
+def _add_up(y: int, x: int, gradients: Volume, gradient_out: Field):
+    total = float(0.0)
+    for k in range(gradients.shape[0]):
+        total = total + gradients[k, y, x]
+    gradient_out[y, x] = total
 
 
 def as_offsets(offsets: Any) -> Any:
@@ -277,7 +270,7 @@ class _CpuDataTerm:
         self._gradients.zero_()
         self._squares.zero_()
         in_slices(device, len(self._squares), some_views)
-        launch_rows(self._kernels.total, [self._gradients], gradient_out)
+        _add_up(self._gradients, gradient_out)
         value_out.numpy()[0] = self._squares.numpy().sum(dtype="float64")
 
     def curvature(self, curvature_out: Any) -> None:

@@ -63,36 +63,32 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                 value_out[m, y, x] = value
                 slope_out[m, y, x] = slope
 
-    @wp.kernel(module=module, enable_backward=False)
-    def across_kernel(
+    @pixelwise(f"{module}_across")
+    def across(
+        y: int,
+        x: int,
         value: wp.array3d(dtype=pixel),
         slope: wp.array3d(dtype=pixel),
         across_value: wp.array(dtype=float),
         across_slope: wp.array(dtype=float),
         along_outer: wp.array(dtype=float),
-        row: int,
-        lanes: int,
         tensor_out: wp.array2d(dtype=wp.vec3f),
     ):
         """Gradients, and their products summed over channels and the outer window along the views."""
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
         last = value.shape[2] - 1
         radius = across_value.shape[0] / 2
-        for x in range(lane, value.shape[2], lanes):
-            tensor = wp.vec3f()
-            for m in range(value.shape[0]):
-                e_x = pixel()
-                e_u = pixel()
-                for k in range(across_value.shape[0]):
-                    xk = wp.clamp(x + k - radius, 0, last)
-                    e_x = e_x + value[m, y, xk] * across_slope[k]
-                    e_u = e_u + slope[m, y, xk] * across_value[k]
-                tensor = tensor + wp.vec3f(wp.dot(e_x, e_x), wp.dot(e_x, e_u), wp.dot(e_u, e_u)) * along_outer[m]
-            tensor_out[y, x] = tensor
+        tensor = wp.vec3f()
+        for m in range(value.shape[0]):
+            e_x = pixel()
+            e_u = pixel()
+            for k in range(across_value.shape[0]):
+                xk = wp.clamp(x + k - radius, 0, last)
+                e_x = e_x + value[m, y, xk] * across_slope[k]
+                e_u = e_u + slope[m, y, xk] * across_value[k]
+            tensor = tensor + wp.vec3f(wp.dot(e_x, e_x), wp.dot(e_x, e_u), wp.dot(e_u, e_u)) * along_outer[m]
+        tensor_out[y, x] = tensor
 
-    return SimpleNamespace(along=along_kernel, across=across_kernel)
+    return SimpleNamespace(along=along_kernel, across=across)
 
 
 @pixelwise("lfgpu_slopes")
@@ -158,8 +154,7 @@ def structure_tensor(
         kernels = _kernels(channels, epis.dtype._wp_scalar_type_)
         along = [epis, offsets, filters.along_value, filters.along_slope, scale, shear]
         launch_rows(kernels.along, along, value, slope)
-        across = [value, slope, filters.across_value, filters.across_slope, filters.along_outer]
-        launch_rows(kernels.across, across, tensor)
+        kernels.across(value, slope, filters.across_value, filters.across_slope, filters.along_outer, tensor)
         _find_slopes(tensor, filters.across_outer, shear, floor, disparity_out, coherence_out)
 
     return evaluate

@@ -325,16 +325,6 @@ def load(device: Any, *kernels: Any) -> None:
             from_cache(partial(wp.load_module, module, device=device), module, device, None)
 
 
-def with_wide_vectors(kernel: Any) -> Any:
-    """Return the kernel, whose module is compiled for the widest vectors that the CPU has.
-
-    Compilers use 256 of 512 bits where nobody says so: the first CPUs with more were slower with them.
-    """
-    flags = wp.config.cpu_compiler_flags or "-march=native"  # Warp's default
-    wp.set_module_options({"cpu_compiler_flags": f"{flags} -mprefer-vector-width=512"}, kernel.module)
-    return kernel
-
-
 @lru_cache(maxsize=1)
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu")

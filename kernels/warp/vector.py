@@ -68,17 +68,6 @@ def sum_kernel(parts: wp.array(dtype=wp.float64), total_out: wp.array(dtype=wp.f
 
 
 @once
-def _dot_on_cpu_kernel() -> Any:
-    return kernel("vector.h", "dot", module="lfgpu_vector_cpu")
-
-
-@once
-def _each_kernel(name: str, each: str) -> Any:
-    """result[i] = `each`, made of numbers a and b and of fields xs[i], ys[i] and zs[i]."""
-    return kernel("vector.h", "for_each", module=f"lfgpu_vector_{name}", EACH=each)
-
-
-@once
 def _parts(device: str) -> Any:
     return wp.empty(_BLOCKS, dtype=wp.float64, device=device)
 
@@ -86,7 +75,7 @@ def _parts(device: str) -> Any:
 def dot(a: Any, b: Any, product_out: Any) -> None:
     device = a.device
     if device.is_cpu:
-        launch(_dot_on_cpu_kernel(), 1, [flat(a), flat(b)], [product_out], device=device)
+        launch(kernel("vector.h", "dot"), 1, [flat(a), flat(b)], [product_out], device=device)
         return
     parts = _parts(device.alias)
     inputs = [flat(a), flat(b), _BLOCKS * BLOCK]
@@ -106,31 +95,31 @@ def axpby(alpha: Any, x: Any, beta: Any, y: Any, y_out: Any) -> None:
     if y_out.dtype is wp.float64:
         launch(_axpby_scalar_kernel, 1, [alpha, x, beta, y], [y_out], device=y_out.device)
         return
-    _for_each("axpby", "a * xs[i] + b * ys[i]", y_out, x, y, a=alpha, b=beta)
+    _for_each("a * xs[i] + b * ys[i]", y_out, x, y, a=alpha, b=beta)
 
 
 def multiply(x: Any, y: Any, product_out: Any) -> None:
-    _for_each("multiply", "xs[i] * ys[i]", product_out, x, y)
+    _for_each("xs[i] * ys[i]", product_out, x, y)
 
 
 def divide(x: Any, y: Any, quotient_out: Any) -> None:
-    _for_each("divide", "ys[i] != 0.f ? xs[i] / ys[i] : 0.f", quotient_out, x, y)
+    _for_each("ys[i] != 0.f ? xs[i] / ys[i] : 0.f", quotient_out, x, y)
 
 
 def fill(value: Any, x_out: Any) -> None:
-    _for_each("fill", "a", x_out, x_out, a=value)
+    _for_each("a", x_out, x_out, a=value)
 
 
 def select(condition: Any, x: Any, y: Any, chosen_out: Any) -> None:
-    _for_each("select", "xs[i] > 0.f ? ys[i] : zs[i]", chosen_out, condition, x, y)
+    _for_each("xs[i] > 0.f ? ys[i] : zs[i]", chosen_out, condition, x, y)
 
 
 def threshold(x: Any, threshold: float, x_out: Any) -> None:
-    _for_each("threshold", "xs[i] >= a ? xs[i] : 0.f", x_out, x, a=threshold)
+    _for_each("xs[i] >= a ? xs[i] : 0.f", x_out, x, a=threshold)
 
 
 def clamp(x: Any, low: Any, high: Any, x_out: Any) -> None:
-    _for_each("clamp", "wp::clamp(xs[i], a, b)", x_out, x, a=low, b=high)
+    _for_each("wp::clamp(xs[i], a, b)", x_out, x, a=low, b=high)
 
 
 def given(value: Any) -> tuple[float, Any]:
@@ -138,11 +127,13 @@ def given(value: Any) -> tuple[float, Any]:
     return (0.0, value) if isinstance(value, wp.array) else (float(value), None)
 
 
-def _for_each(
-    name: str, each: str, result_out: Any, x: Any, y: Any = None, z: Any = None, *, a: Any = 0, b: Any = 0
-) -> None:
-    """Write `each`; a CPU does it in one go, a GPU has a thread for each number."""
+def _for_each(each: str, result_out: Any, x: Any, y: Any = None, z: Any = None, *, a: Any = 0, b: Any = 0) -> None:
+    """Write `each`, made of numbers a and b and of fields xs[i], ys[i] and zs[i].
+
+    A CPU does it in one go, a GPU has a thread for each number.
+    """
     fields = [flat(x), None if y is None else flat(y), None if z is None else flat(z)]
     many = result_out.size if result_out.device.is_cpu else 1
     inputs = [*given(a), *given(b), many, *fields]
-    launch(_each_kernel(name, each), result_out.size // many, inputs, [flat(result_out)], device=result_out.device)
+    work = kernel("vector.h", "for_each", EACH=each)
+    launch(work, result_out.size // many, inputs, [flat(result_out)], device=result_out.device)

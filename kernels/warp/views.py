@@ -51,12 +51,6 @@ def _intensities(channels: int, stored: Any) -> Any:
 
 
 @once
-def _line_kernel(channels: int, stored: Any) -> Any:
-    module = f"lfgpu_lines_{channels}_{stored.__name__}"
-    return kernel("views.h", "copy_line", module=module, Stored=pixel_type(channels, stored))
-
-
-@once
 def indices(line: tuple[int, ...], device: str) -> Any:
     """Indices of views on a device."""
     return wp.array(np.array(line, np.int32), dtype=int, device=device)
@@ -71,7 +65,7 @@ def line_of_views(
 ) -> None:
     if views.dtype is wp.float32:  # a field is an image of one channel
         views, epis_out = (array.view(pixel_type(1)) for array in (views, epis_out))
-    copy = _line_kernel(views.dtype._length_, views.dtype._wp_scalar_type_)
+    copy = kernel("views.h", "copy_line", Stored=views.dtype)
     chosen = indices(tuple(int(index) for index in line), views.device.alias)
     launch_rows(copy, [views, chosen, int(vertical), *corner], epis_out)
 

@@ -13,22 +13,14 @@ from lfgpu.contract import ZBuffer
 
 from .native_code import kernel
 from .splat import as_offsets
-from .threads import check_size, in_slices, launch, load, once, slices
+from .threads import check_size, in_slices, launch, load, slices
 
 _NOWHERE = -1e6  # the disparity of what nothing comes near
 _BUFFER = 20 * 2**20  # bytes
 
 
-@once
-def _cpu_kernels() -> list[Any]:
-    names = "clear", "land", "look_around"
-    return [kernel("z_buffer.h", name, module="lfgpu_z_buffer", NOWHERE=_NOWHERE) for name in names]
-
-
-@once
 def _gpu_kernels(border: int) -> list[Any]:
-    numbers = {"module": f"lfgpu_gpu_z_buffer_{border}", "BORDER": border, "NOWHERE": _NOWHERE}
-    return [kernel("z_buffer.cuh", name, **numbers) for name in ("land", "look_around")]
+    return [kernel("z_buffer.cuh", name, BORDER=border, NOWHERE=_NOWHERE) for name in ("land", "look_around")]
 
 
 def z_buffer(size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
@@ -39,7 +31,8 @@ def z_buffer(size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
         return _gpu_z_buffer((height, width), room, place)
     rooms = [wp.empty(room, dtype=float, device=place) for _ in slices(place, room)]
 
-    clear, land, look_around = _cpu_kernels()
+    names, module = ("clear", "land", "look_around"), "lfgpu_z_buffer"
+    clear, land, look_around = (kernel("z_buffer.h", name, module=module, NOWHERE=_NOWHERE) for name in names)
 
     def find(disparity: Any, offsets: Any, nearest_out: Any, *, reach: int) -> None:
         pairs, used = as_offsets(offsets), (height + 2 * reach + 2) * (width + 2 * reach + 2)

@@ -141,6 +141,6 @@ def test_the_paths_are_those_of_a_gpu(gpu: KernelSet, monkeypatch: pytest.Monkey
     for name in ("data_term-two-by-two", "plane_sweep-two-by-two", "nlm_ratio-one-pixel", "semi_global-one-pixel"):
         operation, case = next(param.values for param in CELLS if param.id == name)
         checks.compute(gpu, "cpu", operation, INPUTS[operation.inputs][1](case, np.random.default_rng(0)))  # type: ignore[union-attr]
-    for part in ("gpu_data_term", "gpu_plane_sweep", "nlm_gpu_divide_sums", "gpu_semi_global"):
+    for part in ("gpu_data_term", "plane_sweep_cuh", "nlm_cuh_divide_sums", "semi_global_cuh"):
         assert any(part in module for module in launched), (part, launched)
     assert all(module.startswith(gpu_blocks.NAME) for module in launched)

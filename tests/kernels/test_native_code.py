@@ -39,10 +39,10 @@ from lfgpu.kernels.warp import (  # noqa: E402
     sectors,
     semi_global,
     smoothing,
-    vector,
     views,
     z_buffer,
 )
+from lfgpu.kernels.warp.memory import pixel_type  # noqa: E402
 
 NATIVE = Path(native_code.__file__).parent / "native"
 FILES = sorted(path.name for path in NATIVE.iterdir() if path.name != "lfgpu.h")
@@ -52,7 +52,7 @@ ARCHITECTURE = 80  # compute capability
 def gpu_kernels() -> Iterator[Any]:
     """One specialisation at least of each kernel for GPUs, for each way in which it differs by preprocessor."""
     byte, float16 = wp.uint8, wp.float16
-    yield views._line_kernel(3, byte)
+    yield native_code.kernel("views.h", "copy_line", Stored=pixel_type(3, byte))
     yield views._normalization_kernels(3, byte, float16, 1.0)
     yield range_search._shrink_kernel(3, byte, 1)
     for name in ("shrink_again", "add_rows", "subtract_means", "add_differences", "find_costs"):
@@ -66,8 +66,8 @@ def gpu_kernels() -> Iterator[Any]:
     yield [cost_volume._pixels_kernel(2), cost_volume._add_kernel()]
     yield [cost_volume._minimum_kernel(name, 1) for name in ("find_least", "find_lowest")]
     yield [edges._kernel(3, 2, False), confidence._line_mean_kernel()]
-    yield vector._each_kernel("axpby", "a * xs[i] + b * ys[i]")
-    yield [nlm._tile_kernel(1, 1), nlm._gpu_operator("laplacian", "(here - other)", 0.0, 2)]
+    yield native_code.kernel("vector.h", "for_each", EACH="a * xs[i] + b * ys[i]")
+    yield [nlm._tile_kernel(1, 1), nlm._gpu_operator("(here - other)", 0.0, 2)]
     yield [nlm_regression._gpu_kernel(name, 2) for name in ("divide_sums", "fit_planes")]
     yield [semi_global._step_costs_kernel(3), semi_global._path_kernel(2), semi_global._turn_kernel()]
     yield z_buffer._gpu_kernels(2)
@@ -80,7 +80,7 @@ def gpu_kernels() -> Iterator[Any]:
         kind = shape, strides, True, float16, float16
         yield [convolution._kernel("convolve_tiles", *kind, convolution._tiles(shape, strides))]
     yield convolution._kernel("convolve_voxels", (3, 3, 3, 24, 4), (1, 1, 1), False, float16, wp.float32)
-    yield [peak._pixel_kernel(stored) for stored in (float16, wp.float32)]
+    yield [peak._kernel(stored, False) for stored in (float16, wp.float32)]
     yield [sectors._gpu_costs_kernel(1, byte, float16), sectors._fold_kernel(3, float16)]
     yield gpu_data_term._kernels(3, float16, float16)
     for stored in (byte, wp.uint16, float16, wp.float32):
