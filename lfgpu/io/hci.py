@@ -67,16 +67,9 @@ class Parameters:
         lengths = {key: self._number(section, key) for key, section in _LENGTHS.items()}
         if not lengths["sensor_size_mm"] > 0:
             raise LightFieldError(f"{self._path}: sensor_size_mm must be positive, not {lengths['sensor_size_mm']:g}.")
-        principal_point = None
-        if self._config.has_option("intrinsics", "principal_point_x_px"):
-            principal_point = (
-                self._number("intrinsics", "principal_point_x_px"),
-                self._number("intrinsics", "principal_point_y_px"),
-            )
-        unshifted = None
-        if self._config.has_option("extrinsics", "unshifted_cam_x"):
-            unshifted = self._number("extrinsics", "unshifted_cam_x"), self._number("extrinsics", "unshifted_cam_y")
-        elif math.isfinite(lengths["focus_distance_m"]):
+        principal_point = self._pair("intrinsics", "principal_point_{}_px")
+        unshifted = self._pair("extrinsics", "unshifted_cam_{}")
+        if unshifted is None and math.isfinite(lengths["focus_distance_m"]):
             rows, columns = self.grid_shape()
             unshifted = float(columns // 2), float(rows // 2)
         aspect = self._config.has_option("intrinsics", "pixel_aspect")
@@ -97,6 +90,11 @@ class Parameters:
             return None
         height, width = (self._count("intrinsics", key) for key in keys)
         return height, width
+
+    def _pair(self, section: str, keys: str) -> tuple[float, float] | None:
+        if not self._config.has_option(section, keys.format("x")):
+            return None
+        return self._number(section, keys.format("x")), self._number(section, keys.format("y"))
 
     def _number(self, section: str, key: str) -> float:
         if not self._config.has_option(section, key):

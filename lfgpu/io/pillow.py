@@ -24,21 +24,15 @@ def opened(path: Path) -> Iterator[ImageFile.ImageFile]:
 
     Pillow raises whatever comes to it when a file is damaged; UnidentifiedImageError if it is none of `FORMATS`.
     """
-    with _decoding(path, FORMATS) as image:
+    with decoding(path, *FORMATS) as image:
         # Four bytes a pixel whatever the mode: a bound on what decoding takes.
         check_claim(path, (image.height, image.width, 4), np.uint8)
         yield image
 
 
 @contextmanager
-def decoding(data: bytes, kind: str) -> Iterator[ImageFile.ImageFile]:
-    """Open a picture of one format, such as JPEG, that lies in memory; its pixels are decoded within the block."""
-    with _decoding(io.BytesIO(data), (kind,)) as image:
-        yield image
-
-
-@contextmanager
-def _decoding(source: Path | io.BytesIO, formats: tuple[str, ...]) -> Iterator[ImageFile.ImageFile]:
+def decoding(source: Path | io.BytesIO, *formats: str) -> Iterator[ImageFile.ImageFile]:
+    """Open a picture of some formats, such as JPEG; its pixels are decoded within the block."""
     _silence_libtiff()
     with _FILTERS, Image.open(source, formats=formats) as image:
         yield image

@@ -54,12 +54,12 @@ def further_pictures(path: Path) -> int:
     """Count the pages after the first that are as large as it, and neither smaller copies of it nor masks."""
     found: list[dict[int, int]] = []
     with suppress(LightFieldError):  # linked in a circle: those before it
-        found.extend(_numbers(path, offset) for offset in pages(path))
+        found.extend(numbers(path, offset) for offset in pages(path))
     tags = [(page.get(_WIDTH), page.get(_HEIGHT), page.get(_KIND, 0) & _NO_PICTURE) for page in found]
     return tags[1:].count((*tags[0][:2], 0)) if tags else 0
 
 
-def _numbers(path: Path, at: int) -> dict[int, int]:
+def numbers(path: Path, at: int) -> dict[int, int]:
     """Read the tags of a page that are one whole number, up to where it is damaged."""
     found: dict[int, int] = {}
     with path.open("rb") as file, suppress(struct.error, OSError, OverflowError, ValueError):

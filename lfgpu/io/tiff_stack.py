@@ -2,7 +2,6 @@
 
 import logging
 import math
-import struct
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -14,39 +13,25 @@ from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, grid_field
 from lfgpu.io.damage import check_claim, read_as, require
-from lfgpu.io.tiff_pages import check_pages, pages
+from lfgpu.io.tiff_pages import check_pages, numbers, pages
 
 _PLANES = 3  # pages of a view, if each is a colour
 _COLOURS = 4  # samples of a pixel; more are views
-_ORIENTATION = 274  # tag
-_SAMPLES = {"<": struct.pack("<H", 277), ">": struct.pack(">H", 277)}  # the tag SamplesPerPixel
+_ORIENTATION, _SAMPLES = 274, 277  # tags
 
 
 def recognise(path: Path) -> str | None:
     """Say why a path is taken for a TIFF of several pages; None if it is not."""
     if path.suffix.lower() not in (".tif", ".tiff") or not path.is_file():
         return None
+    found: list[int] = []
     try:
-        several = len(list(islice(pages(path), 2))) == 2
+        found.extend(islice(pages(path), 2))
     except LightFieldError:  # linked in a circle, which who reads it says
-        several = True
-    if not several and _planes(path) > _COLOURS:
-        return f"it is a TIFF file of {_planes(path)} planes"
-    return "it is a TIFF file of several pages" if several else None
-
-
-def _planes(path: Path) -> int:
-    """Count the samples of a pixel of the first page, from its tags alone; 0 if there are none."""
-    with path.open("rb") as file:
-        start = file.read(8)
-        order = {b"II*\0": "<", b"MM\0*": ">"}.get(start[:4])
-        if order is None or len(start) < 8:
-            return 0
-        file.seek(struct.unpack(f"{order}I", start[4:])[0])
-        count = file.read(2)
-        entries = file.read(12 * struct.unpack(f"{order}H", count)[0]) if len(count) == 2 else b""
-    tags = (entries[k : k + 12] for k in range(0, len(entries) - 11, 12))
-    return next((struct.unpack(f"{order}HHIHH", tag)[3] for tag in tags if tag[:2] == _SAMPLES[order]), 0)
+        found = [0, 0]
+    if len(found) == 1 and (planes := numbers(path, found[0]).get(_SAMPLES, 0)) > _COLOURS:
+        return f"it is a TIFF file of {planes} planes"
+    return "it is a TIFF file of several pages" if len(found) > 1 else None
 
 
 def read_tiff_stack(path: Path, *, grid: tuple[int, int] | None = None, axes: str | None = None) -> LightField:

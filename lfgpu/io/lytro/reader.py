@@ -1,5 +1,6 @@
 """Processed Lytro containers: the views of one as a light field, and its contents in words."""
 
+import io
 import math
 import tempfile
 from collections.abc import Iterator
@@ -35,7 +36,7 @@ def decoded(container: Container, views: Views) -> Iterator[NDArray[np.uint8]]:
 
 def _still(container: Container, name: str, views: Views) -> NDArray[np.uint8]:
     try:
-        with pillow.decoding(container.data(name), _STILL[views.representation]) as image:
+        with pillow.decoding(io.BytesIO(container.data(name)), _STILL[views.representation]) as image:
             found = (image.height, image.width)
             if found == views.size:
                 return np.asarray(image.convert("RGB"))
