@@ -45,6 +45,11 @@ class Section:
             elif meta["odd"] and value % 2 == 0:
                 raise LightFieldError(f"{f.name} must be odd, not {value:g}.")
 
+    def within(self, **values: float) -> Self:
+        """Return a copy with some numbers changed, as far as their ranges go."""
+        of = {f.name: f.metadata for f in dataclasses.fields(self)}
+        return dataclasses.replace(self, **{n: min(max(v, of[n]["low"]), of[n]["high"]) for n, v in values.items()})
+
 
 def tuned(value: float | str, unit: str, reason: str, *, ablation: str = "") -> Any:
     """Define a number of a `Tuning`, or the name of a rule: its unit, what it is, and why it has this value.

@@ -123,6 +123,9 @@ class Method(ABC, Generic[C]):
     TRACED: ClassVar[str]
     """The name of the stage whose values become the `trace` of a result."""
 
+    is_recordable: ClassVar[bool] = False
+    """True if it can be exported: a run is the same sequence of operations for all views."""
+
     MATCHED: ClassVar[str | None] = None
     """The name of the first stage, if surfaces beyond the disparity range lie at its ends in the map of that stage."""
 
@@ -154,11 +157,6 @@ class Method(ABC, Generic[C]):
     def is_on_device(self) -> bool:
         """True if all solvers run on the device, so that a whole run can be captured."""
         return True
-
-    @property
-    def is_recordable(self) -> bool:
-        """True if it can be exported: a run is the same sequence of operations for all views."""
-        return False
 
     @property
     def for_rendering(self) -> C:

@@ -115,9 +115,7 @@ class DryKernels:
 
     def z_buffer(self, size: Sequence[int], device: str, *, reach: int) -> DryOperation:
         """Count the surfaces of each slice of the work."""
-        if not self._on_gpu:
-            self._count((_SLICES, *size), _FLOAT)
-        return DryOperation()
+        return DryOperation() if self._on_gpu else self._count((_SLICES, *size), _FLOAT)
 
     def alignment(self, shape: Sequence[int], offsets: Any, **numbers: float) -> DryOperation:
         """Count views, each pixel with its mask, and the weights of gradients."""
@@ -137,16 +135,11 @@ class DryKernels:
 
     def nlm_weights(self, shape: Sequence[int], device: str, **numbers: Any) -> DryOperation:
         """Count colours and gradients, and on a GPU the sums of patches."""
-        self._count((*shape[:2], 3 * shape[2]), _FLOAT)
-        return DryOperation()
+        return self._count((*shape[:2], 3 * shape[2]), _FLOAT)
 
     def structure_tensor(self, shape: Sequence[int], *arguments: Any, **numbers: Any) -> DryOperation:
         """Count the tensors of a few views, on a CPU the filtered views."""
-        if self._on_gpu:
-            self._count((_TENSORS, _TENSOR, *shape[1:]), _FLOAT)
-        else:
-            self._count(shape, _FLOAT)
-        return DryOperation()
+        return self._count((_TENSORS, _TENSOR, *shape[1:]) if self._on_gpu else shape, _FLOAT)
 
     def normalization(self, shape: Sequence[int], device: str, **numbers: float) -> DryOperation:
         """Count the views that a GPU normalises at a time."""
@@ -160,14 +153,12 @@ class DryKernels:
         """Count recorded views as they are compared, and their coverage."""
         self._count(shape[:3], _FLOAT)
         if not self._on_gpu:
-            self._count((2, *shape), _FLOAT)
-            return DryOperation()
+            return self._count((2, *shape), _FLOAT)
         return DryOperation(lambda views: self._packed(views, has_mask=True))
 
     def lbfgs(self, shape: Sequence[int], device: str, *, memory: int, **numbers: Any) -> DryOperation:
         """Count the history."""
-        self._count((2 * memory + 2, *shape), _FLOAT)
-        return DryOperation()
+        return self._count((2 * memory + 2, *shape), _FLOAT)
 
     def _packed(self, views: DryArray, *, has_mask: bool) -> None:
         """Count views [n, y, x, c] whose pixels hold 2 or 4 values if their masks are among them."""
@@ -179,8 +170,9 @@ class DryKernels:
         self._count(shape, itemsize)
         return DryArray(tuple(shape), itemsize)
 
-    def _count(self, shape: Sequence[int], itemsize: int) -> None:
+    def _count(self, shape: Sequence[int], itemsize: int) -> DryOperation:
         self.bytes += math.prod(shape) * itemsize
+        return DryOperation()
 
 
 @dataclass(frozen=True)

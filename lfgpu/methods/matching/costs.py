@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import REDUCTION, WHITE, Array, SweepCost, ViewSets
+from lfgpu.contract import REDUCTION, WHITE, Array, PlaneSweep, SweepCost, ViewSets
 from lfgpu.methods.matching.base import Cost
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.disparities import view_sets
@@ -17,51 +17,6 @@ from lfgpu.methods.prior import UNLIKE_ANY
 
 _BESIDE = 1  # reduced pixels from an edge that are beside it
 _SEVERAL = 2  # further sweeps mend the outlines that reduced views blur
-
-
-class ReducedViews:
-    """A sweep over views that are reduced to one pixel for each REDUCTION x REDUCTION, at the same disparities."""
-
-    def __init__(self, views: SweptViews, cost: SweepCost) -> None:
-        frame, layout, tuning = views.frame, views.layout, views.frame.config.tuning.sweep
-        device, (height, width) = frame.arena.device, (side // REDUCTION for side in layout.size)
-        small = replace(layout, size=(height, width), offsets=layout.offsets / REDUCTION)
-        self._kernels, self._reference, self._scale = frame.kernels, layout.reference, frame.scale
-        self._weight, self._cost = tuning.reduced_weight, cost
-        # Beside an outline, many pixels of the farther side look like a part of the nearer one.
-        self._contrast = tuning.reduced_contrast if frame.config.sweep.resweeps < _SEVERAL else None
-        arena = frame.arena
-        self._shares = arena.device.field(np.ones(small.size))
-        self._views = arena.image("reduced views", small.shape, np.uint16)
-        self._image = arena.image("reduced image", small.shape[1:])
-        self._valid = arena.field("reduced masks", small.shape[:3])
-        self._volume = arena.field("reduced costs", (frame.disparities.slices, *small.size))
-        sets = ViewSets(
-            device.field(small.offsets),
-            device.field(view_sets(small.offsets, tuning.view_set_angle)),
-            preference=tuning.view_set_penalty,
-            tolerance=0.0,  # nothing hides anything
-            least=1,
-        )
-        self._sweep = frame.kernels.plane_sweep(small.shape, sets, frame.disparities, scale=1 / WHITE)
-        frame.moving.append(self._sweep)
-        views.on_load(self._load)
-
-    def _load(self, _: Array, views: Array, valid: Array | None) -> None:
-        """Reduce views [n, y, x, c], as stored, with their masks [n, y, x]."""
-        kernels, kept = self._kernels, self._valid if valid is not None else None
-        kernels.reduce_views(views, valid, scale=self._scale, views_out=self._views, valid_out=kept)
-        kernels.intensities(self._views, self._reference, kept, scale=1 / WHITE, fill=UNLIKE_ANY, image_out=self._image)
-        self._sweep.load(self._image, self._views, kept)
-        if self._contrast is not None:
-            kernels.edge_weights(self._image, contrast=self._contrast, reach=_BESIDE, weights_out=self._shares)
-
-    def add(self, volume: Array) -> None:
-        """Add the costs over view sets to a volume [l, y, x]."""
-        self._sweep.by_view_sets(self._cost, self._volume)
-        self._kernels.add_reduced(self._volume, self._shares, weight=self._weight, volume_inout=volume)
-
-
 _LEAST_REDUCED = 2  # pixels: smallest side of reduced views that are worth comparing
 
 
@@ -83,20 +38,54 @@ class PlaneSweepCost:
 class WithReducedViews(PlaneSweepCost):
     """The cost of a plane sweep, and in the sum over view sets the cost of reduced views as well.
 
-    Faint texture shows in views that are reduced, and noise does not.
+    They are reduced to one pixel for each REDUCTION x REDUCTION, and swept at the same disparities. Faint texture shows
+    in them, and noise does not.
     """
 
     def __init__(self, views: SweptViews, cost: SweepCost) -> None:
         super().__init__(views, cost)
-        self._reduced = None
-        if views.frame.config.tuning.sweep.reduced_weight > 0 and min(views.layout.size) >= _LEAST_REDUCED * REDUCTION:
-            self._reduced = ReducedViews(views, cost)
+        frame, layout, tuning = views.frame, views.layout, views.frame.config.tuning.sweep
+        self._reduced: PlaneSweep | None = None
+        if not tuning.reduced_weight > 0 or min(layout.size) < _LEAST_REDUCED * REDUCTION:
+            return
+        arena, device, (height, width) = frame.arena, frame.arena.device, (side // REDUCTION for side in layout.size)
+        small = replace(layout, size=(height, width), offsets=layout.offsets / REDUCTION)
+        self._kernels, self._reference, self._scale = frame.kernels, layout.reference, frame.scale
+        self._weight = tuning.reduced_weight
+        # Beside an outline, many pixels of the farther side look like a part of the nearer one.
+        self._contrast = tuning.reduced_contrast if frame.config.sweep.resweeps < _SEVERAL else None
+        self._shares = device.field(np.ones(small.size))
+        self._views = arena.image("reduced views", small.shape, np.uint16)
+        self._image = arena.image("reduced image", small.shape[1:])
+        self._valid = arena.field("reduced masks", small.shape[:3])
+        self._volume = arena.field("reduced costs", (frame.disparities.slices, *small.size))
+        sets = ViewSets(
+            device.field(small.offsets),
+            device.field(view_sets(small.offsets, tuning.view_set_angle)),
+            preference=tuning.view_set_penalty,
+            tolerance=0.0,  # nothing hides anything
+            least=1,
+        )
+        self._reduced = frame.kernels.plane_sweep(small.shape, sets, frame.disparities, scale=1 / WHITE)
+        frame.moving.append(self._reduced)
+        views.on_load(self._load)
+
+    def _load(self, _: Array, views: Array, valid: Array | None) -> None:
+        """Reduce views [n, y, x, c], as stored, with their masks [n, y, x]."""
+        kernels, kept = self._kernels, self._valid if valid is not None else None
+        kernels.reduce_views(views, valid, scale=self._scale, views_out=self._views, valid_out=kept)
+        kernels.intensities(self._views, self._reference, kept, scale=1 / WHITE, fill=UNLIKE_ANY, image_out=self._image)
+        assert self._reduced is not None
+        self._reduced.load(self._image, self._views, kept)
+        if self._contrast is not None:
+            kernels.edge_weights(self._image, contrast=self._contrast, reach=_BESIDE, weights_out=self._shares)
 
     def by_view_sets(self, volume_out: Array) -> None:
         """See `Cost`."""
         super().by_view_sets(volume_out)
         if self._reduced is not None:
-            self._reduced.add(volume_out)
+            self._reduced.by_view_sets(self._cost, self._volume)
+            self._kernels.add_reduced(self._volume, self._shares, weight=self._weight, volume_inout=volume_out)
 
 
 def first_cost(config: MatchingConfig) -> SweepCost:

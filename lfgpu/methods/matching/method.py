@@ -35,15 +35,12 @@ class Matching(Method[MatchingConfig]):
     )
     TRACED = "align"
     MATCHED = "sweep"
+    is_recordable = True
 
     @property
     def stages(self) -> tuple[Stage, ...]:
         again = self.config.sweep.resweeps > 0
         return tuple(stage for stage in self.STAGES if again or stage.name != "resweep")
-
-    @property
-    def is_recordable(self) -> bool:
-        return True
 
     @property
     def for_rendering(self) -> MatchingConfig:

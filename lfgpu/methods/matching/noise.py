@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, is_dataclass, replace
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -20,11 +20,7 @@ from lfgpu.methods.matching.tuning import INTENSITY, SLOPE
 from lfgpu.methods.matching.views import ChosenViews, used_views
 from lfgpu.methods.measured import Shown, Typical, load_window
 
-if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
 _Stage = TypeVar("_Stage", bound=Section)
-_Section = TypeVar("_Section", bound="DataclassInstance")
 
 _SAMPLE = 256  # pixels: side of the part of the image in which the noise is measured
 _USUAL_NOISE = 0.004  # intensity: the noise at which parameters are used as they are
@@ -215,25 +211,20 @@ def exposed(config: MatchingConfig, exposure: float) -> MatchingConfig:
     """Scale all intensities among the numbers, and penalties, for views that use only that part of the range."""
     if exposure == 1.0:
         return config
-    tuning = config.tuning
-    sections = {f.name: getattr(tuning, f.name) for f in fields(tuning) if is_dataclass(getattr(tuning, f.name))}
+    tuning, sections = config.tuning, {}
+    for part in fields(tuning):
+        if is_dataclass(getattr(tuning, part.name)):
+            section: Any = getattr(tuning, part.name)
+            names = [f.name for f in fields(section) if f.metadata["unit"] in (INTENSITY, SLOPE)]
+            sections[part.name] = replace(section, **{name: exposure * getattr(section, name) for name in names})
     return replace(
         config,
         semi_global=_times(exposure, config.semi_global, "small_penalty", "large_penalty"),
         boundaries=_times(exposure, config.boundaries, "contrast"),
-        tuning=replace(tuning, **{name: _exposed(section, exposure) for name, section in sections.items()}),
+        tuning=replace(tuning, **sections),
     )
-
-
-def _exposed(section: _Section, exposure: float) -> _Section:
-    names = [f.name for f in fields(section) if f.metadata["unit"] in (INTENSITY, SLOPE)]
-    return replace(section, **{name: exposure * getattr(section, name) for name in names})
 
 
 def _times(factor: float, stage: _Stage, *names: str) -> _Stage:
     """Multiply some parameters by a factor, as far as their ranges go."""
-    ranges = {f.name: f.metadata for f in fields(stage)}
-    changed = {
-        name: min(max(factor * getattr(stage, name), ranges[name]["low"]), ranges[name]["high"]) for name in names
-    }
-    return replace(stage, **changed)
+    return stage.within(**{name: factor * getattr(stage, name) for name in names})

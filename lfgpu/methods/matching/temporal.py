@@ -153,13 +153,9 @@ class TemporalMatching(MatchingPlan):
         """Do all that follows the sweeps, and make the map the past of the next frame."""
         self._align(None)
         self._complete()
-        self._remember()
+        self._kernels.copy(self.disparity, self._past)
+        self._kernels.copy(self._frame.image, self._last_image)
         self._put_unknown(self.disparity)
-
-    def _remember(self) -> None:
-        copy = self._kernels.copy
-        copy(self.disparity, self._past)
-        copy(self._frame.image, self._last_image)
 
     def _expect(self, costs: Array) -> None:
         """Make disparities dearer that differ from the expected ones: change costs [l, y, x]."""

@@ -40,11 +40,6 @@ def compared_views(layout: ViewLayout, pattern: str) -> list[int]:
     return _indices(chosen) if len(chosen) >= _CHESSBOARD[pattern] else every_other_view(layout, pattern)
 
 
-def cross_views(layout: ViewLayout, pattern: str) -> list[int]:
-    """Choose the views in the reference's row and column, or all if fewer than four beside the reference are there."""
-    return used_views(layout.offsets, "cross")
-
-
 def every_other_view(layout: ViewLayout, pattern: str) -> list[int]:
     """Choose every other row and column of a grid, from the outermost ones to the reference's.
 
@@ -65,7 +60,7 @@ def _all(layout: ViewLayout, pattern: str) -> list[int]:
 
 VIEWS: Mapping[str, ViewRule] = {
     "all": _all,
-    "cross": cross_views,
+    "cross": lambda layout, _: used_views(layout.offsets, "cross"),
     "every other": every_other_view,
 }
 """Rules by name, each for the compared views of a sweep."""

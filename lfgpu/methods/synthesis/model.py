@@ -37,10 +37,11 @@ class ForwardModel:
         self._detail = device.zeros_image(shape, compared_as(config, on_gpu=device.is_gpu))
         self._image = device.zeros_image((*layout.size, layout.channels))
         self._seen = device.zeros(shape[:3])
-        self._valid, self._known = None, None
-        if layout.masks is not None:
-            self._valid = device.field(np.stack(layout.masks))
-            self._known = device.field(layout.masks[layout.reference])
+        masks = layout.masks
+        self.valid = None if masks is None else device.field(np.stack(masks))
+        """The masks of the views, a field [n, y, x]; None if all pixels are valid."""
+        self.known = None if masks is None else device.field(masks[layout.reference])
+        """The mask of the reference view, a field [y, x]."""
         self._normalize = kernels.normalization(
             shape, device.name, scale=layout.scale, sigma=config.detail_scale, floor=config.contrast_floor
         )
@@ -53,12 +54,12 @@ class ForwardModel:
         are not compared: nothing predicts them. Without a map, or with `rim` "compared", all valid pixels are.
         """
         kernels = self._kernels
-        self._normalize(views, self._valid, self._detail)
-        kernels.intensities(self._detail, self._reference, self._valid, scale=1.0, fill=0.0, image_out=self._image)
+        self._normalize(views, self.valid, self._detail)
+        kernels.intensities(self._detail, self._reference, self.valid, scale=1.0, fill=0.0, image_out=self._image)
         if start is not None and self._masks_rim:
-            kernels.seen_by_reference(start, self._offsets, self._known, self._valid, seen_out=self._seen)
+            kernels.seen_by_reference(start, self._offsets, self.known, self.valid, seen_out=self._seen)
         self._data_term.load(
-            self._image, self._detail, self._seen if start is not None and self._masks_rim else self._valid
+            self._image, self._detail, self._seen if start is not None and self._masks_rim else self.valid
         )
 
     def squared_error(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:

@@ -5,12 +5,10 @@ the gaps from similar pixels nearby. `refine` changes the map until it predicts 
 prior; with `refinement.acceptance` "by-pixel" each pixel takes of that what makes the views agree better.
 """
 
-from dataclasses import fields, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.config import Section
 from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
@@ -70,27 +68,16 @@ def in_units_of(measured: Measured, config: SynthesisConfig) -> SynthesisConfig:
         assert measured.noise is not None
         times = noise_in_units(measured)
         colour = gradient = times
-        refinement = _with(
-            refinement,
-            contrast_floor=times * refinement.contrast_floor,
-            longest_change=times * refinement.longest_change,
+        refinement = refinement.within(
+            contrast_floor=times * refinement.contrast_floor, longest_change=times * refinement.longest_change
         )
-    prior = _with(prior, sigma_color=colour * prior.sigma_color, sigma_gradient=gradient * prior.sigma_gradient)
+    prior = prior.within(sigma_color=colour * prior.sigma_color, sigma_gradient=gradient * prior.sigma_gradient)
     return replace(config, prior=prior, refinement=refinement)
 
 
 def noise_in_units(measured: Measured) -> float:
     """Return the noise in units of the usual one, 1 to 5; 1 if it was not measured."""
     return min(max((measured.noise or 0.0) / USUAL_NOISE, 1.0), _MOST_NOISE)
-
-
-def _with(section: Any, **values: float) -> Any:
-    """Parameters changed, as far as their ranges go."""
-    assert isinstance(section, Section)
-    ranges = {f.name: f.metadata for f in fields(section)}
-    return replace(
-        section, **{name: min(max(v, ranges[name]["low"]), ranges[name]["high"]) for name, v in values.items()}
-    )
 
 
 _SOLVERS: dict[str, type[BoundedLbfgs] | type[ScipyLbfgsb]] = {"lbfgs": BoundedLbfgs, "lbfgsb": ScipyLbfgsb}
@@ -113,9 +100,8 @@ class SynthesisPlan:
         config, bounds = in_units_of(measured, config), measured.disparity_range
         shape = (*layout.size, layout.channels)
         self._kernels, self._reference, self._scale = kernels, layout.reference, layout.scale
-        masks = layout.masks
-        self._valid = None if masks is None else device.field(np.stack(masks))
-        self._known = None if masks is None else device.field(masks[layout.reference])
+        self._model = ForwardModel(layout, config.refinement, device)
+        self._valid, self._known = self._model.valid, self._model.known
         self._unknown = None if layout.masks is None else device.field(np.full(layout.size, np.nan))
         self._image = device.zeros_image(shape)
         self._local = LocalEstimator(layout, bounds, config.local, device)
@@ -123,7 +109,6 @@ class SynthesisPlan:
         self._propagation = Propagation(layout.size, bounds, self._prior, config.propagation)
         self.disparity, self.confidence = (device.zeros(layout.size) for _ in range(2))
         """The results, fields [y, x]."""
-        self._model = ForwardModel(layout, config.refinement, device)
         start = self._propagation.filled if config.refinement.smooths == "change" else None
         local = self._propagation if config.refinement.smooths == "local" else None
         self._energy = Energy(self._model, self._prior, config.refinement.smoothness, start, local)
