@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu import hooks
 from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.cameras.looking import FEWEST, Look, checked_map, look
 from lfgpu.cameras.points import known_pixels
 from lfgpu.contract import Device, Float32Array, Float64Array
+from lfgpu.data import summary
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.io.contradictions import contradictions, no_parallax
 
@@ -32,7 +32,7 @@ _WORSE = 1.03  # of the error with a constant disparity
 
 
 @dataclass(frozen=True, eq=False)
-class Explanation(Look):
+class Explanation(Look, summary.InNotebooks):
     """Quality of a map and state of the cameras, from `explain`. n views, c colours.
 
     Parameters
@@ -98,10 +98,6 @@ class Explanation(Look):
         """PSNR, dB, of the mean squared error over the views other than the reference that are predicted."""
         known = np.isfinite(self.psnr)
         return float(-10 * np.log10((10 ** (-self.psnr[known] / 10)).mean())) if known.any() else float("nan")
-
-    def _repr_html_(self) -> str:
-        """Return the HTML for notebooks."""
-        return hooks.html(self)
 
 
 def explain(

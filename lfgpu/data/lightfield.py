@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from lfgpu import hooks
 from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
 from lfgpu.data.layout import ViewLayout
@@ -91,7 +90,7 @@ class GroundTruth:
 
 
 @dataclass(frozen=True, eq=False)
-class LightField:
+class LightField(summary.InNotebooks):
     """Views of one scene from parallel cameras in one plane.
 
     A point at (x, y) of the reference view with disparity d is at (x - d*du, y - d*dv) in the view whose camera is du
@@ -371,10 +370,6 @@ class LightField:
             f"{'' if self.valid is None else ', with masks'}; "
             f"depth in metres: {'no geometry' if self.geometry is None else 'yes'}; ground truth: {truth}>"
         )
-
-    def _repr_html_(self) -> str:
-        """Write the HTML for notebooks."""
-        return hooks.html(self)
 
     # --- derived light fields ---
 

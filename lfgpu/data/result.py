@@ -16,7 +16,7 @@ from lfgpu.data.geometry import Geometry
 
 
 @dataclass(frozen=True, eq=False)
-class DepthResult:
+class DepthResult(summary.InNotebooks):
     """A disparity map of the reference view.
 
     Parameters
@@ -124,10 +124,6 @@ class DepthResult:
             f"{self.config.method} with {self.backend} on {self.device}{took}; stages {', '.join(self.stages)}{notes}>"
         )
 
-    def _repr_html_(self) -> str:
-        """Write the HTML for notebooks."""
-        return hooks.html(self)
-
     @property
     def map(self) -> DisparityMap:
         """The map, with its metadata."""
@@ -147,7 +143,7 @@ class DepthResult:
 
 
 @dataclass(frozen=True, eq=False)
-class DisparityMap:
+class DisparityMap(summary.InNotebooks):
     """A disparity map of one view, with its metadata: the contents of a map file.
 
     Parameters
@@ -178,10 +174,6 @@ class DisparityMap:
 
     def __repr__(self) -> str:
         return f"<DisparityMap {_map_lines(self)}>"
-
-    def _repr_html_(self) -> str:
-        """Write the HTML for notebooks."""
-        return hooks.html(self)
 
     @property
     def depth(self) -> NDArray[np.float32] | None:

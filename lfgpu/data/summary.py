@@ -1,9 +1,11 @@
-"""Short texts about arrays: what `repr` of light fields and results shows instead of their numbers."""
+"""Short texts about arrays: what `repr` of light fields and results shows instead of their numbers; and their HTML."""
 
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from lfgpu import hooks
 
 UNIT = "px per view step"
 """The unit of disparities."""
@@ -32,3 +34,11 @@ def view_at(position: tuple[float, float], among: NDArray[Any] | None = None) ->
     """ "row 4, column 5" of a position (u, v), with a word if positions `among` it do not count from a corner."""
     counted = "" if among is None or are_counted(among) else " (rows and columns count from the camera at 0, 0)"
     return f"row {position[1]:g}, column {position[0]:g}{counted}"
+
+
+class InNotebooks:
+    """A base of whatever notebooks show as HTML."""
+
+    def _repr_html_(self) -> str:
+        """Write the HTML for notebooks."""
+        return hooks.html(self)

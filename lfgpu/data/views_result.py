@@ -19,7 +19,7 @@ _SAME_PLACE = 1e-6  # view steps: positions that differ by less are equal
 
 
 @dataclass(frozen=True, eq=False)
-class ViewsResult:
+class ViewsResult(summary.InNotebooks):
     """Disparity maps of all views of a light field.
 
     Parameters
@@ -59,10 +59,6 @@ class ViewsResult:
             f"{about.config.method} with {about.backend} on {about.device}, {len(self.keys)} key views, "
             f"{self.timings.get('total', np.nan):.3g} s>"
         )
-
-    def _repr_html_(self) -> str:
-        """Write the HTML for notebooks."""
-        return hooks.html(self)
 
     def index_of(self, row: float, column: float) -> int:
         """Index of the view at position v = `row`, u = `column`; LightFieldError if there is none."""
