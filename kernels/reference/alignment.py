@@ -10,11 +10,9 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import GRADIENT_REACH
+from lfgpu.contract import GRADIENT_REACH, Float64Array as Array
 
 from .edges import edge_weights
-
-Array = NDArray[np.float64]
 
 NOWHERE = -1e6  # the disparity of what nothing comes near
 AT_REFERENCE = 1e-3  # view steps: what is no farther from the reference is the reference
@@ -37,7 +35,7 @@ def largest_around(values: Array, radius: int) -> Array:
     return np.asarray(np.lib.stride_tricks.sliding_window_view(values, (side, side)).max(axis=(2, 3)))
 
 
-class ZBuffer:
+class z_buffer:
     def __init__(self, size: Sequence[int], device: str, *, reach: int) -> None:
         pass
 
@@ -50,9 +48,6 @@ class ZBuffer:
             np.maximum.at(front, (y[there], x[there]), disparity[there])
             near = largest_around(front[1:-1, 1:-1], reach)
             nearest[:] = np.where(near > NOWHERE, near, largest_around(front, reach + 1))
-
-
-z_buffer = ZBuffer
 
 
 def differences(values: Array) -> tuple[Array, Array]:
@@ -72,7 +67,7 @@ def mean_of(own: Array, of_views: Sequence[Array], weights: Sequence[Array]) -> 
     return np.asarray(total / sum(weights, np.ones(own.shape[:2]))[..., None])
 
 
-class Alignment:
+class alignment:
     def __init__(
         self,
         shape: Sequence[int],
@@ -139,9 +134,6 @@ class Alignment:
         for values, out in zip((described, *differences(described)), (found, across, down), strict=True):
             out[there] = bilinear(values, x[there], y[there])
         return visible, self._weighted(found), self._weighted(across), self._weighted(down)
-
-
-alignment = Alignment
 
 
 def bilinear(values: Array, x: Array, y: Array) -> Array:

@@ -10,11 +10,8 @@ the colours of its pixels, where that meets the outline.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import REACH, half_window
-
-Array = NDArray[np.float64]
+from lfgpu.contract import REACH, Float64Array as Array, half_window
 
 SPREAD = 3.0  # pixels²: how fast neighbours count less with their distance
 BESIDE = 1e-3  # what a pixel counts that may itself be a mixture

@@ -3,14 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import CLOSE, DECISIONS, LEAST_ODDS
+from lfgpu.contract import CLOSE, DECISIONS, LEAST_ODDS, Float64Array as Array
 
 from .peak import unfolded
 from .sectors import folded
-
-Array = NDArray[np.float64]
 
 
 def compare_maps(

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
 
 SHARPNESS = 2.0  # costs that differ by unit / SHARPNESS differ
 PATHS = 8  # whose costs are added up

@@ -1,9 +1,8 @@
 """A step of conjugate gradients: NumPy, float64. A number is an array of shape [1]."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
 
 
 def conjugate_step(p: Array, q: Array, preconditioner: Array, rz: Array, x: Array, r: Array, go_on: Array) -> None:

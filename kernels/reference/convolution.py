@@ -3,14 +3,11 @@
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import Float32Array, Rows
-
-Array = NDArray[np.float64]
+from lfgpu.contract import Float32Array, Float64Array as Array, Rows
 
 
-class Convolution:
+class convolution:
     """The convolution with its weights [l, y, x, c_in, c_out]."""
 
     def __init__(
@@ -49,6 +46,3 @@ class Convolution:
         for tap in np.ndindex(sizes):
             lengths = zip(tap, volume.shape, self._strides, strict=False)
             yield self._weights[tap], padded[tuple(slice(k, k + length, stride) for k, length, stride in lengths)]
-
-
-convolution = Convolution

@@ -4,13 +4,10 @@ Only what is alike is averaged: the weights are those of the non-local-means pri
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import REDUCTION
+from lfgpu.contract import REDUCTION, Float64Array as Array
 
 from .nlm import nlm_neighbors
-
-Array = NDArray[np.float64]
 
 LEAST_BEND = 1e-9  # of a parabola that has a minimum
 
@@ -46,7 +43,11 @@ def least_costs(volume: Array, *, least_out: Array) -> None:
 def winner_takes_all(volume: Array, *, first: float, step: float, disparity_out: Array) -> None:
     k = volume.argmin(0).clip(1, len(volume) - 2)
     before, here, after = (np.take_along_axis(volume, (k + near)[None], 0)[0] for near in (-1, 0, 1))
+    disparity_out[:] = first + step * (k + parabola_vertex(before, here, after))
+
+
+def parabola_vertex(before: Array, here: Array, after: Array) -> Array:
+    """Find the least place, -1 to 1, of the parabola through values at -1, 0 and 1; 0 where it has none."""
     bend = before - 2 * here + after
     bends = bend > LEAST_BEND
-    t = np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
-    disparity_out[:] = first + step * (k + t)
+    return np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)

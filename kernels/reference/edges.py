@@ -1,9 +1,8 @@
 """Weights that are small beside steps in brightness: what lies there shows what is nearer. NumPy, float64."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
 
 
 def largest_step(image: Array, reach: int) -> Array:

@@ -5,11 +5,8 @@ side, and the surface goes straight on up to the outline.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import FACET_REACH
-
-Array = NDArray[np.float64]
+from lfgpu.contract import FACET_REACH, Float64Array as Array
 
 _PLACES = range(-FACET_REACH, FACET_REACH + 1)
 

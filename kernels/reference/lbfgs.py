@@ -13,9 +13,9 @@ from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
+
 Pairs = deque[tuple[Array, Array]]  # (s, y), the newest last
 
 DECREASE = 1e-4  # share of the decrease that the slope promises which is enough (Armijo)
@@ -51,7 +51,7 @@ def two_loop(pairs: Pairs, gradient: Array) -> Array:
     return q
 
 
-class Lbfgs:
+class lbfgs:
     """The last pairs, the direction [y, x] with its slope and step, and the trace of accepted values."""
 
     def __init__(
@@ -143,6 +143,3 @@ class Lbfgs:
         last = self._trace[-self._patience - 1 :]
         enough = self._patience * self._tolerance * abs(self._trace[0])
         return len(last) == self._patience + 1 and last[0] - last[-1] <= enough
-
-
-lbfgs = Lbfgs

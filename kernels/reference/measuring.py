@@ -3,11 +3,8 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import GRAIN_WINDOW
-
-Array = NDArray[np.float64]
+from lfgpu.contract import GRAIN_WINDOW, Float64Array as Array
 
 FOURTH_DIFFERENCE = (1, -4, 6, -4, 1)
 

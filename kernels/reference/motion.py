@@ -7,9 +7,10 @@ it, or 0, if that fits clearly better.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
+
+from .nlm import central_differences
 
 RADIUS = 5  # pixels: the window is 11 x 11
 STEPS = 2
@@ -33,12 +34,6 @@ def _at(image: Array, y: Array, x: Array) -> Array:
     return (1 - ay) * upper + ay * lower
 
 
-def _gradients(image: Array) -> tuple[Array, Array]:
-    """Half the differences of the pixels to the right and left, and below and above; borders go on."""
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    return 0.5 * (padded[1:-1, 2:] - padded[1:-1, :-2]), 0.5 * (padded[2:, 1:-1] - padded[:-2, 1:-1])
-
-
 def _box(values: Array, radius: int) -> Array:
     """Sums over (2 radius + 1)² pixels of [y, x, ...]; borders go on."""
     height, width = values.shape[:2]
@@ -50,7 +45,7 @@ def _box(values: Array, radius: int) -> Array:
 def _solved(image: Array, last: Array, motion: Array, *, is_first: bool) -> Array:
     """Compute the motion [y, x, 2] after a Gauss-Newton step."""
     y, x = np.mgrid[: image.shape[0], : image.shape[1]].astype(float)
-    gx, gy = (gradient.mean(2) for gradient in _gradients(image))
+    gx, gy = (gradient.mean(2) for gradient in central_differences(image))
     error = (image - _at(last, y + motion[..., 1], x + motion[..., 0])).mean(2)
     target = error + gx * motion[..., 0] + gy * motion[..., 1]
     products = np.stack([gx * gx, gx * gy, gy * gy, gx * target, gy * target, error * error], axis=2)
@@ -74,7 +69,7 @@ def _change(image: Array, last: Array, motion: Array) -> Array:
     return total / 9
 
 
-class Motion:
+class motion:
     """The motion in images of one size and kind (`lfgpu.contract.streaming.Motion`)."""
 
     def __init__(self, image: Array) -> None:
@@ -95,7 +90,7 @@ class Motion:
             better = change < bound
             bound, least = np.where(better, change, bound), np.where(better, change, least)
             best = np.where(better[..., None], other, best)
-        across, down = (np.abs(gradient).mean(2) for gradient in _gradients(image))
+        across, down = (np.abs(gradient).mean(2) for gradient in central_differences(image))
         steepness = _box(across + down, 1) / 9
         allowed = tolerance + np.where(best.any(2), SLIP * steepness, 0)
         self._motion[:] = best

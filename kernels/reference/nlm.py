@@ -9,20 +9,20 @@ the paper (equation 2), the difference between the middle of the patch and the p
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import NlmWeights, OverPatch, PatchGradients, half_window
-
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array, NlmWeights, OverPatch, PatchGradients, half_window
 
 
 def features(image: Array, sigma_color: float, sigma_gradient: float) -> Array:
     """[y, x, 3c]: colour and its central differences in x and y, scaled so that distances add up to the exponent."""
-    padded = np.pad(image, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    gradient_x = (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2
-    gradient_y = (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
-    root = np.sqrt(image.shape[2])
-    return np.concatenate([image / sigma_color, gradient_x / sigma_gradient, gradient_y / sigma_gradient], 2) / root
+    gradients = [gradient / sigma_gradient for gradient in central_differences(image)]
+    return np.concatenate([image / sigma_color, *gradients], 2) / np.sqrt(image.shape[2])
+
+
+def central_differences(values: Array) -> tuple[Array, Array]:
+    """Half the differences of the pixels beside in x and in y, of [y, x, c]; borders go on."""
+    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
+    return (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
 
 
 def overlap(shape: tuple[int, int], dy: int, dx: int) -> tuple[tuple[slice, slice], tuple[slice, slice]]:

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from lfgpu.contract import half_window
+from lfgpu.contract import Float64Array as Array, half_window
 
-from .nlm import Array, overlap
+from .nlm import overlap
 
 
 def nlm_ratio(

@@ -6,11 +6,10 @@ relative to the nearest one's, found first, which cancels in the mean but keeps 
 """
 
 import numpy as np
-from numpy.typing import NDArray
+
+from lfgpu.contract import Float64Array as Array
 
 from .splat import Tap, taps
-
-Array = NDArray[np.float64]
 
 LEAST_WEIGHT = 1e-20  # what gives less is not there: quotients of such weights stay within float32
 

@@ -3,11 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import FOLD, PEAK_REACH, Rows, peak_features
-
-Array = NDArray[np.float64]
+from lfgpu.contract import FOLD, PEAK_REACH, Float64Array as Array, Rows, peak_features
 
 
 def unfolded(folded: Array, size: tuple[int, ...]) -> Array:

@@ -11,9 +11,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
+from lfgpu.contract import Disparities, Float64Array as Array, SweepCost, ViewSets, sweep_shifts
 
-Array = NDArray[np.float64]
+from .nlm import central_differences
 
 LEAST_OFFSET = 1e-3  # view steps; what is nearer to the reference view is the reference view
 PENALTY = 1e-4  # of all view_sets but the first, besides their preference
@@ -53,12 +53,6 @@ def bilinear(view: Array, x: Axis, y: Axis) -> Array:
     return rows[:, x.first] + x.share[:, None] * (rows[:, x.second] - rows[:, x.first])
 
 
-def central_differences(values: Array) -> tuple[Array, Array]:
-    """In x and in y, border pixels repeated."""
-    padded = np.pad(values, ((1, 1), (1, 1), (0, 0)), mode="edge")
-    return (padded[1:-1, 2:] - padded[1:-1, :-2]) / 2, (padded[2:, 1:-1] - padded[:-2, 1:-1]) / 2
-
-
 def rooted(difference: Array | float, softness: float) -> Array | float:
     """Keep a difference while it is small; beyond the softness take its root."""
     return 2 * softness * (np.sqrt(1 + difference / softness) - 1) if softness > 0 else difference
@@ -70,7 +64,7 @@ def most(cost: SweepCost) -> float:
     return float((rooted(cost.truncation, cost.softness) + gradients) / (1 + cost.gradient_weight))
 
 
-class PlaneSweep:
+class plane_sweep:
     """The sweep over views of one light field."""
 
     def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
@@ -121,6 +115,3 @@ class PlaneSweep:
             if self._valid is not None:
                 inside &= self._valid[n][nearest] != 0
             yield Compared(int(n), robust / (1 + cost.gradient_weight), inside, (nearest[0], nearest[1]))
-
-
-plane_sweep = PlaneSweep

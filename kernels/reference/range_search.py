@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
+from lfgpu.contract import UNSEEN, Details, Disparities, Float64Array as Array, SideCosts, sweep_shifts
 
+from .cost_volume import parabola_vertex
+from .nlm import box_sum
 from .plane_sweep import bilinear, shifted
 
-Array = NDArray[np.float64]
-
-LEAST_BEND = 1e-9  # of a parabola that has a minimum
 LEAST_SHARE = 0.5  # of the terms of a side that must have a part
 
 
@@ -60,12 +59,6 @@ def differences(detail: Array, image: Array, shift: Array) -> Array:
     return np.where(np.outer(y.inside, x.inside) & ~needed, np.abs(seen - image), np.nan)
 
 
-def box_sums(values: Array) -> Array:
-    """Compute the sum of [y, x] over 3 x 3 pixels in the frame."""
-    padded = np.pad(values, 1)
-    return np.asarray(np.lib.stride_tricks.sliding_window_view(padded, (3, 3)).sum((2, 3)))
-
-
 def side_costs(
     shape: Sequence[int],
     offsets: NDArray[Any],
@@ -77,8 +70,8 @@ def side_costs(
 ) -> SideCosts:
     def cost(details: Array, shifts: Array, side: Sequence[int]) -> Array:
         found = np.stack([differences(details[n], details[reference], shifts[n]) for n in side])
-        parts = box_sums((~np.isnan(found)).sum(0).astype(np.float64))
-        total = box_sums(np.nansum(found, 0))
+        parts = box_sum((~np.isnan(found)).sum(0).astype(np.float64), 1)
+        total = box_sum(np.nansum(found, 0), 1)
         return np.where(parts >= LEAST_SHARE * 9 * len(side), total / np.maximum(parts, 1), UNSEEN)
 
     def evaluate(details: Array, first: float, step: float, volume_out: Array) -> None:
@@ -101,9 +94,7 @@ def distinct_minimum(volume: Array, *, apart: int, found_out: Sequence[Array]) -
 
     inner = k.clip(1, len(costs) - 2)
     least, before, after = at(costs, k), at(costs, inner - 1), at(costs, inner + 1)
-    bend = before - 2 * least + after
-    bends = (bend > LEAST_BEND) & (k == inner)
-    place_out[:] = k + np.where(bends, (before - after) / (2 * np.where(bends, bend, 1.0)), 0.0).clip(-1, 1)
+    place_out[:] = k + np.where(k == inner, parabola_vertex(before, least, after), 0.0)
     least_out[:] = least
     spread_out[:] = np.where(least < 1, costs.max(0) - least, np.nan)
     others = np.where(np.abs(labels - k) > apart, costs, np.inf).min(0)

@@ -1,9 +1,8 @@
 """Pictures looked up at other places by cubic convolution (Keys 1981), with other tones; NumPy, float64."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
 
 LEAST_GAIN = 0.05
 

@@ -3,12 +3,11 @@
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
 
 
-class Residuals:
+class residuals:
     """The relative residuals so far."""
 
     def __init__(self, device: str, *, tolerance: float, most: int) -> None:
@@ -32,6 +31,3 @@ class Residuals:
 
     def report(self) -> list[float]:
         return list(self._trace)
-
-
-residuals = Residuals

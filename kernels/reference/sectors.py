@@ -5,9 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
-
-Array = NDArray[np.float64]
+from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Float64Array as Array, Rows, sectors_of
 
 
 def folded(image: Array, folded_out: Array) -> None:
@@ -22,7 +20,7 @@ def growth(difference: Array) -> Array:
     return np.log1p(difference / COST_UNIT) / 4
 
 
-class SectorCosts:
+class sector_costs:
     """The costs of views of one light field."""
 
     def __init__(self, shape: Sequence[int], offsets: Array, *, scale: float) -> None:
@@ -75,9 +73,6 @@ class SectorCosts:
         upper = view[y0, x0] + a * (view[y0, x1] - view[y0, x0])
         lower = view[y1, x0] + a * (view[y1, x1] - view[y1, x0])
         return upper + b * (lower - upper), inside
-
-
-sector_costs = SectorCosts
 
 
 def brightness(image: Array, *, factor_out: Array) -> None:

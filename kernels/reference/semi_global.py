@@ -6,9 +6,8 @@ pixel before it; without the least of these, which is the same for all dispariti
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
 
 LEAST_SMALL = 0.2  # what an edge in the image leaves of the cost of a change by one
 LEAST_LARGE = 1.2  # of the cost of a larger change, relative to `small`

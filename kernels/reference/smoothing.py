@@ -6,11 +6,8 @@ decided on means over 3 x 3 pixels, in which the noise is less, too. What is not
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
-
-Array = NDArray[np.float64]
+from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE, Float64Array as Array
 
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
 

@@ -10,8 +10,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lfgpu.contract import Float64Array as Array
 
-def tent(a: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
+
+def tent(a: Array, softness: float) -> Array:
     """Λ(a) for a in [0, 1]; `softness` is ε in (0, 0.5]."""
     s = 1.0 / (1.0 - softness)
     line = 1.0 + s * (0.5 * softness - a)
@@ -20,13 +22,10 @@ def tent(a: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
     return np.where(a <= softness, top, np.where(a >= 1.0 - softness, foot, line))
 
 
-def tent_slope(a: NDArray[np.float64], softness: float) -> NDArray[np.float64]:
+def tent_slope(a: Array, softness: float) -> Array:
     """Λ'(a) for a in [0, 1]."""
     s = 1.0 / (1.0 - softness)
     return -s * np.minimum(np.minimum(a, 1.0 - a) / softness, 1.0)
-
-
-Array = NDArray[np.float64]
 
 
 class Tap(NamedTuple):
@@ -75,7 +74,7 @@ def _gradient(image: Array, disparity: Array, residual: Array, offsets: Array, s
     return gradient
 
 
-class _DataTerm:
+class data_term:
     """The squared error of what a reference image predicts, and its gradient with respect to the disparity."""
 
     def __init__(self, shape: Sequence[int], offsets: Array, *, scale: float, softness: float) -> None:
@@ -94,9 +93,6 @@ class _DataTerm:
 
     def curvature(self, curvature_out: Array) -> None:
         curvature_out[:] = 2 * (self._offsets**2).sum() * (self._image**2).sum(-1)
-
-
-data_term = _DataTerm
 
 
 def seen_by_reference(

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from .motion import Motion as motion  # noqa: N813 - the contract's name for what makes one
+from lfgpu.contract import Float64Array as Array
+
+from .motion import motion
 
 __all__ = ["bias", "blend", "motion", "transport"]
 
-Array = NDArray[np.float64]
 
 SAMPLES = 64  # along each side of the reference view, that are looked at for cuts
 LOWEST, HIGHEST = -0.5, 1.5  # intensities beyond these are in another unit
@@ -68,7 +69,7 @@ class Maps:
         return self.shared(index).astype(np.float32)
 
 
-class transport:  # noqa: N801 - the contract's name for what makes one
+class transport:
     """The traffic of one stream (`lfgpu.contract.streaming.Transport`)."""
 
     def __init__(

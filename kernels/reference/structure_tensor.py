@@ -3,11 +3,8 @@
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from lfgpu.contract import LocalEstimate, StructureFilters
-
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array, LocalEstimate, StructureFilters
 
 
 def sheared(epis: Array, offsets: Array, shear: float) -> Array:

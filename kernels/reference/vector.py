@@ -1,9 +1,9 @@
 """Vector operations of solvers: NumPy, float64. A number is an array of shape [1]."""
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array
+
 Coefficient = float | Array
 
 

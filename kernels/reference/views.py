@@ -11,9 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
-from lfgpu.contract import Normalization
-
-Array = NDArray[np.float64]
+from lfgpu.contract import Float64Array as Array, Normalization
 
 TRUNCATE = 2.5  # Gaussians end after as many standard deviations
 LEAST_SHARE = 1e-6  # of a Gaussian that must lie on valid pixels

@@ -349,7 +349,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     return SimpleNamespace(pack=pack_kernel, align=align_kernel)
 
 
-class _Alignment:
+class alignment:
     def __init__(
         self,
         shape: Sequence[int],
@@ -376,7 +376,7 @@ class _Alignment:
             self._packed = empty(size, channels=channels + 1, scalar=recorded.scalar)
         self._image = image
         # What is near a step in brightness sees it in its gradients.
-        weigh_edges(image, *self._weighing, self._weights)
+        weigh_edges(image, *self._weighing, weights_out=self._weights)
         run(self._kernels.pack, recorded, *optional(valid), height, width, self._packed)
 
     def __call__(
@@ -385,6 +385,3 @@ class _Alignment:
         views = self._image, self._weights, self._packed, self._offsets
         maps = disparity, nearest, *disparity.shape
         run(self._kernels.align, *views, *self._compared, *maps, curvature_out, slope_out)
-
-
-alignment = _Alignment

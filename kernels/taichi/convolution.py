@@ -79,7 +79,7 @@ def _kernel(stored: Any, result: Any, adds: bool, rectified: bool, together: int
     return convolve_kernel
 
 
-class _Convolution:
+class convolution:
     """The weights on the device."""
 
     def __init__(
@@ -110,6 +110,3 @@ class _Convolution:
             high = 1 if added is None else columns // added.shape[2]
             place = rows.first, rows.last - rows.first, rows.all * self._strides[1], high
         run(convolve, volume, self._weights, self._bias, more, *sizes, *place, held, volume_out)
-
-
-convolution = _Convolution

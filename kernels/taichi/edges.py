@@ -4,8 +4,8 @@ from typing import Any
 
 import taichi as ti
 
-from .memory import DeviceArray, flat
-from .runtime import once, run
+from .memory import DeviceArray, flat, operation
+from .runtime import once
 
 
 @once
@@ -46,10 +46,9 @@ def _kernel(channels: int) -> Any:
     return weigh_kernel
 
 
-def weigh_edges(image: DeviceArray, weight: float, contrast: float, reach: int, weights_out: DeviceArray) -> None:
-    """`weight` times `edge_weights`."""
-    run(_kernel(image.channels), image, weight, contrast, reach, *weights_out.shape, weights_out)
+weigh_edges = operation(_kernel, "channels")
+"""`weight` times `edge_weights`."""
 
 
 def edge_weights(image: DeviceArray, *, contrast: float, reach: int, weights_out: DeviceArray) -> None:
-    weigh_edges(image, 1.0, contrast, reach, weights_out)
+    weigh_edges(image, 1.0, contrast, reach, weights_out=weights_out)

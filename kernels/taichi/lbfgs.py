@@ -16,6 +16,7 @@ import taichi as ti
 from .memory import DeviceArray, clear, doubles, empty, flat, numpy, scalar
 from .runtime import TASK, double, on_cpu, once, run, start
 from .sums import BLOCK, share, summing
+from .vector import fill
 
 _DECREASE = 1e-4  # of what the slope promises: a trial that gives less is not accepted (Armijo)
 _CURVATURE = 1e-10  # least s . y over |s| |y| of a pair that is kept
@@ -261,15 +262,10 @@ def _stack_kernels() -> SimpleNamespace:
         for i in range(root_out.shape[0]):
             root_out[i] = ti.sqrt(curvature[i])
 
-    @ti.kernel
-    def ones_kernel(root_out: field):
-        for i in range(root_out.shape[0]):
-            root_out[i] = 1.0
-
-    return SimpleNamespace(learn=learn_kernel, root=root_kernel, ones=ones_kernel)
+    return SimpleNamespace(learn=learn_kernel, root=root_kernel)
 
 
-class _Lbfgs:
+class lbfgs:
     def __init__(
         self,
         shape: Sequence[int],
@@ -301,7 +297,7 @@ class _Lbfgs:
     ) -> None:
         run(self._search.begin, value, self._state, self._trace, self.go_on)
         if curvature is None:
-            run(self._rows.ones, self._root)
+            fill(1.0, self._root)
         else:
             run(self._rows.root, curvature, self._root)
         self.learn(x, gradient, x, gradient)
@@ -321,6 +317,3 @@ class _Lbfgs:
         state = numpy(self._state)
         trace = numpy(self._trace)[: int(state[_LENGTH])]
         return [float(value) for value in trace], int(state[_JUDGED]), bool(state[_FLAT])
-
-
-lbfgs = _Lbfgs

@@ -396,7 +396,7 @@ def _least_kernel(
         volume_out[first + p] = lowest
 
 
-class _PlaneSweep:
+class plane_sweep:
     """The shifts of the views, in the order of their view sets."""
 
     def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
@@ -470,6 +470,3 @@ class _PlaneSweep:
                 run(add, *inputs, *limits, deepest, self._group, self._sums)
             place = label * size, size
             run(_least_kernel, self._sums, sets, *limits, self._preference, least, *place, volume_out)
-
-
-plane_sweep = _PlaneSweep

@@ -39,7 +39,7 @@ def _kernels() -> SimpleNamespace:
     return SimpleNamespace(begin=begin_kernel, add=add_kernel)
 
 
-class _Residuals:
+class residuals:
     def __init__(self, device: str, *, tolerance: float, most: int) -> None:
         self.go_on, self._tolerance = scalar(1.0, device), tolerance
         self._state, self._trace = doubles(np.array([1.0, 0.0])), doubles(np.zeros(most + 1))
@@ -52,6 +52,3 @@ class _Residuals:
 
     def report(self) -> list[float]:
         return [float(value) for value in numpy(self._trace)[: int(numpy(self._state)[_LENGTH])]]
-
-
-residuals = _Residuals

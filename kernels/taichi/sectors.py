@@ -117,7 +117,7 @@ def _costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
     return costs_kernel
 
 
-class _SectorCosts:
+class sector_costs:
     """The views in the order of their sectors."""
 
     def __init__(self, shape: Sequence[int], offsets: DeviceArray, *, scale: float) -> None:
@@ -146,9 +146,6 @@ class _SectorCosts:
         arrays = self._recorded, self._image, mask, self._order, self._begins, first, factor
         place = (0, costs_out.shape[1]) if rows is None else (rows.first, rows.last - rows.first)
         run(find, *arrays, self._scale, step, *place, height, width, *costs_out.shape, costs_out)
-
-
-sector_costs = _SectorCosts
 
 
 @once

@@ -288,7 +288,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
     )
 
 
-class _DataTerm:
+class data_term:
     """Slices of the views, one view after the other, on a CPU; all of them at once on a GPU."""
 
     def __init__(self, shape: Sequence[int], offsets: DeviceArray, *, scale: float, softness: float) -> None:
@@ -319,9 +319,6 @@ class _DataTerm:
 
     def curvature(self, curvature_out: DeviceArray) -> None:
         run(self._kernels.curvature, self._image, self._curvature, curvature_out)
-
-
-data_term = _DataTerm
 
 
 @operation

@@ -207,7 +207,7 @@ def _gaussian(sigma: float, device: str) -> DeviceArray:
     return field(weights / weights.sum(), device)
 
 
-class _Normalization:
+class normalization:
     """Some views at a time, so that what lies between two kernels stays in a cache."""
 
     def __init__(self, shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float) -> None:
@@ -246,6 +246,3 @@ class _Normalization:
         count, sums = pixels * channels, self._sums
         run(self._gaussian, values, weights, count, self._height, self._width * channels, sums)
         run(self._gaussian, sums, weights, count, self._width, channels, values)
-
-
-normalization = _Normalization

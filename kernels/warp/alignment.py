@@ -56,7 +56,7 @@ def _kernels(channels: int, stored: Any, compact: Any, on_cpu: bool) -> SimpleNa
     return SimpleNamespace(pack=pack, align=align)
 
 
-class _Alignment:
+class alignment:
     def __init__(
         self,
         shape: Sequence[int],
@@ -93,6 +93,3 @@ class _Alignment:
     def __call__(self, disparity: Any, nearest: Any, curvature_out: Any, slope_out: Any) -> None:
         inputs = [self._image, self._weights, self._packed, self._pairs, *self._compared, disparity, nearest]
         launch_rows(self._kernels.align, inputs, curvature_out, slope_out)
-
-
-alignment = _Alignment

@@ -9,16 +9,13 @@ import warp as wp
 from lfgpu.contract import Disparities
 
 
-class _Numbers:
+class numbers:
     def __init__(self, count: int, device: str) -> None:
         self._all = wp.zeros(count, dtype=wp.float64, device=device)
         self.scalars = [self._all[i : i + 1] for i in range(count)]
 
     def change(self, values: Sequence[float]) -> None:
         self._all.assign(np.pad(np.asarray(values, np.float64), (0, len(self.scalars) - len(values))))
-
-
-numbers = _Numbers
 
 
 def move(sweep: Any, disparities: Disparities) -> None:

@@ -80,7 +80,7 @@ def _fragments(weights: Float32Array) -> Any:
     return np.ascontiguousarray(blocks.transpose(0, 1, 4, 5, 2, 3)).reshape(-1).view(np.uint32)
 
 
-class _Convolution:
+class convolution:
     """The weights in the order in which a device reads them."""
 
     def __init__(
@@ -136,6 +136,3 @@ class _Convolution:
         inputs[1] = self._fragments
         convolve = _kernel("convolve_tiles", *kind, tiles=self._tiles)
         launch(convolve, blocks * threads, inputs, [out], device=self._device, block_dim=threads)
-
-
-convolution = _Convolution

@@ -252,7 +252,7 @@ def _combine(
     direction_out[y, x] = wp.where(stopped, 0.0, -projected(-total / root[y, x], at, low, high))
 
 
-class _Lbfgs:
+class lbfgs:
     def __init__(
         self,
         shape: Any,
@@ -335,6 +335,3 @@ class _Lbfgs:
             _combine(*inputs, self._direction)
         else:
             gpu_lbfgs.combine(inputs, self._direction)
-
-
-lbfgs = _Lbfgs

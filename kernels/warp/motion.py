@@ -216,7 +216,7 @@ def _carry(
     confidence_out[y, x] = total[3]
 
 
-class Motion:
+class motion:
     """The motion in images of one size and kind (`lfgpu.contract.streaming.Motion`)."""
 
     def __init__(self, image: Any) -> None:

@@ -27,7 +27,7 @@ _OUTSIDE = 2.0**24  # pixels: a shift with which no view shows anything
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
-class _PlaneSweep:
+class plane_sweep:
     """The shifts of the views, in the order of their view sets, and the views as the device reads them."""
 
     def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
@@ -132,6 +132,3 @@ class _PlaneSweep:
             self._marks = wp.empty(self._shape[:3], dtype=wp.uint16, device=self._device)
         inputs = [flat(self._views), flat(nearest), self._deepest]
         launch(self._mark, self._marks.size, inputs, [flat(self._marks)], device=self._device)
-
-
-plane_sweep = _PlaneSweep

@@ -61,7 +61,7 @@ def details(shape: Sequence[int], device: str, *, factor: int, window: int) -> D
     return evaluate
 
 
-class _SideCosts:
+class side_costs:
     """Memory for the shifts of the views, side by side, and for the sums of some disparities."""
 
     def __init__(
@@ -109,9 +109,6 @@ class _SideCosts:
                 launch(self._costs, rows * lanes, added, [volume_out], device=place)
 
         in_slices(place, self._count, some)
-
-
-side_costs = _SideCosts
 
 
 def distinct_minimum(volume: Any, *, apart: int, found_out: Sequence[Any]) -> None:

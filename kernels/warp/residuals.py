@@ -43,7 +43,7 @@ def _add_kernel(
         go_on_out[0] = wp.float64(0.0)
 
 
-class _Residuals:
+class residuals:
     def __init__(self, device: str, *, tolerance: float, most: int) -> None:
         self.go_on, self._norm, self._tolerance = scalar(1.0, device), scalar(1.0, device), tolerance
         self._length = wp.zeros(1, dtype=int, device=device)
@@ -60,6 +60,3 @@ class _Residuals:
     def report(self) -> list[float]:
         with asking(self._trace.device.alias):
             return [float(value) for value in self._trace.numpy()[: self._length.numpy()[0]]]
-
-
-residuals = _Residuals

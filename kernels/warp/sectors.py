@@ -35,7 +35,7 @@ def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
     return kernel("sectors.cuh", "find_sector_costs", **types, **numbers)
 
 
-class _SectorCosts:
+class sector_costs:
     """The views by sector, and as the device reads them."""
 
     def __init__(self, shape: Sequence[int], offsets: Any, *, scale: float) -> None:
@@ -79,9 +79,6 @@ class _SectorCosts:
             return
         inputs = [self._views, self._image, self._valid, *planned]
         launch_slices(_costs_kernel(*kind), labels * some, inputs, costs_out)
-
-
-sector_costs = _SectorCosts
 
 
 @wp.kernel(module="lfgpu_brightness", enable_backward=False)

@@ -2,9 +2,9 @@
 
 import warp as wp
 
-from .motion import Motion as motion  # noqa: N813 - the contract's name for what makes one
+from .motion import motion
 from .pixels import Field, Volume, pixelwise
-from .transport import Transport as transport  # noqa: N813 - the contract's name for what makes one
+from .transport import transport
 
 __all__ = ["bias", "blend", "motion", "transport"]
 

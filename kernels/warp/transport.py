@@ -137,7 +137,7 @@ def _view(field: Any, token: _Token) -> Any:
     return view
 
 
-class Transport:
+class transport:
     """One stream's traffic: views [n, y, x] of pixels to the device, `sources` (two fields, two numbers) back.
 
     `scale` multiplies stored values; samples of the reference change by more than `tolerance`, the mean difference over

@@ -27,7 +27,7 @@ ROOM = 250_000  # elements of the inputs: larger cases are about blocks of threa
 MODULES = [module.name for module in pkgutil.iter_modules(reference.__path__) if module.name != "backend"]
 SAME = {
     **{"alignment": 2, "boundaries": 4, "confidence": 1, "conjugate": 1, "cost_volume": 2, "lbfgs": 13, "nlm": 3},
-    **{"nlm_regression": 1, "occlusion": 1, "range_search": 8, "resampling": 1, "residuals": 4, "semi_global": 2},
+    **{"nlm_regression": 1, "occlusion": 1, "range_search": 5, "resampling": 1, "residuals": 4, "semi_global": 2},
     **{
         "smoothing": 7,
         "structure_tensor": 2,
