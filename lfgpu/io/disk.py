@@ -38,7 +38,7 @@ class Collected:
     """
 
     def __init__(self, source: Path, count: int, like: NDArray[Any]) -> None:
-        self._source, self._shape, self._dtype = source, (count, *like.shape), like.dtype
+        self._source, self.shape, self._dtype = source, (count, *like.shape), like.dtype
         self._file: IO[bytes] | None = None
         self._writing, needed = threading.Lock(), count * like.nbytes
         if wanted_on_disk():
@@ -51,12 +51,7 @@ class Collected:
             self._file = tempfile.TemporaryFile(prefix="lfgpu-")  # noqa: SIM115 - the array lives as long as it
         else:
             check_memory(source, needed, advice="read fewer views, or leave them on disk (lazy=True, --max-memory)")
-            self._array = np.empty(self._shape, self._dtype)
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """[n, ...]."""
-        return self._shape
+            self._array = np.empty(self.shape, self._dtype)
 
     def put(self, index: int, values: NDArray[Any]) -> None:
         """Take the array that comes at `index`."""
@@ -73,7 +68,7 @@ class Collected:
             return self._array
         with self._said():
             self._file.flush()
-        return mapped(self._file, self._shape, self._dtype)
+        return mapped(self._file, self.shape, self._dtype)
 
     @contextmanager
     def _said(self) -> Iterator[None]:

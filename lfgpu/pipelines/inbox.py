@@ -41,17 +41,13 @@ class Inbox(Generic[Frame, Slot]):
         self._waiting: deque[tuple[Frame, Slot]] = deque()
         self._filling = 0
         self._changed = threading.Condition()
-        self._closed = False
+        self.closed = False
+        """True if new frames are refused."""
         self.reason = ""
         """Reason of the end, if the owner did not close it."""
 
     def __len__(self) -> int:
         return len(self._waiting)
-
-    @property
-    def closed(self) -> bool:
-        """True if new frames are refused."""
-        return self._closed
 
     def slot(self) -> Slot:
         """Get an empty slot to fill; `put` or `give_back` must follow. LfgpuError if the inbox is or becomes closed."""
@@ -74,7 +70,7 @@ class Inbox(Generic[Frame, Slot]):
             self._filling -= 1
             self._waiting.append((frame, slot))
             many = len(self._waiting) - self._most
-            dropped = [self._waiting.pop()] if self._closed else [self._waiting.popleft() for _ in range(many)]
+            dropped = [self._waiting.pop()] if self.closed else [self._waiting.popleft() for _ in range(many)]
             self._free.extend(slot for _, slot in dropped)
             self._changed.notify_all()
         for old, _ in dropped:
@@ -91,7 +87,7 @@ class Inbox(Generic[Frame, Slot]):
         """Wait for the oldest frame and take it; None when the inbox is closed and empty."""
         with self._changed:
             while not self._waiting:
-                if self._closed and not self._filling:
+                if self.closed and not self._filling:
                     return None
                 self._changed.wait()
             taken = self._waiting.popleft()
@@ -101,8 +97,8 @@ class Inbox(Generic[Frame, Slot]):
     def close(self, *, finish: bool, reason: str = "") -> None:
         """Refuse new frames; waiting frames can still be taken if `finish`, else they are dropped."""
         with self._changed:
-            self.reason = self.reason or ("" if self._closed else reason)
-            self._closed = True
+            self.reason = self.reason or ("" if self.closed else reason)
+            self.closed = True
             dropped = [] if finish else [self._take_out() for _ in range(len(self._waiting))]
             self._changed.notify_all()
         for old in dropped:
@@ -114,7 +110,7 @@ class Inbox(Generic[Frame, Slot]):
 
     def refuse_if_closed(self) -> None:
         """Raise LfgpuError if new frames are refused."""
-        if self._closed:
+        if self.closed:
             why = f", because {self.reason}" if self.reason else ""
             raise LfgpuError(f"the stream is closed{why}; create a new one.")
 

@@ -144,12 +144,8 @@ class StampWatch:
 
     def __init__(self, tolerance: float | None, used: Sequence[int]) -> None:
         self._tolerance, self._used = tolerance, list(used)
-        self._said: tuple[str, ...] = ()
-
-    @property
-    def warnings(self) -> tuple[str, ...]:
+        self.warnings: tuple[str, ...] = ()
         """The sentence that was said, or nothing."""
-        return self._said
 
     def look(self, index: int, stamps: Float64Array | None) -> tuple[bool, tuple[str, ...]]:
         """Compare the stamps of a frame: True if they differ by too much, and the sentences that are new."""
@@ -157,15 +153,15 @@ class StampWatch:
             return False, ()
         used = stamps[self._used]
         spread = float(np.nanmax(used) - np.nanmin(used))
-        if spread <= self._tolerance or self._said:
+        if spread <= self._tolerance or self.warnings:
             return spread > self._tolerance, ()
         farthest = self._used[int(np.nanargmax(np.abs(used - np.nanmedian(used))))]
-        self._said = (
+        self.warnings = (
             f"The pictures of frame {index} were taken within {1000 * spread:.3g} ms, and {1000 * self._tolerance:.3g} "
             f"are allowed; view {farthest} is farthest from the others: what moves has a wrong disparity. Trigger the "
             "cameras together, or group their pictures with FrameGrouper.",
         )
-        return True, self._said
+        return True, self.warnings
 
 
 class FirstErrors:

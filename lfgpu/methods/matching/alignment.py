@@ -9,7 +9,7 @@ import numpy as np
 from lfgpu.contract import Array, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.base import Callback
-from lfgpu.methods.matching.frame import Frame, Loaded
+from lfgpu.methods.matching.frame import Frame
 
 _SUREST = 0.02  # pixels in the farthest view: no map is better than this
 _BESIDE = 1  # pixels beside an edge in another view where both sides are mixed: they are left out
@@ -45,9 +45,9 @@ class Alignment:
 
     def load(self) -> None:
         """Take the views of a frame."""
-        self._last.load(self._frame.image, self._frame.used)
+        self._last.align.load(self._frame.image, *self._frame.used)
         if self._first is not self._last:
-            self._first.load(self._frame.image, self._frame.thinned)
+            self._first.align.load(self._frame.image, *self._frame.thinned)
 
     def run(
         self, matched: Array, variance: Array | None, map_out: Array, steps: int, callback: Callback | None
@@ -143,7 +143,7 @@ class _Step:
     def __init__(self, frame: Frame, layout: ViewLayout) -> None:
         arena, tuning = frame.arena, frame.config.tuning
         self._hiding, self._offsets = frame.hiding, arena.device.field(layout.offsets)
-        self._align = arena.kernels.alignment(
+        self.align = arena.kernels.alignment(
             layout.shape,
             self._offsets,
             scale=layout.scale,
@@ -155,11 +155,7 @@ class _Step:
         with arena.scratch() as scratch:
             self._nearest = scratch.field(frame.layout.shape[:3])
 
-    def load(self, image: Array, views: Loaded) -> None:
-        """Take the reference image [y, x, c] and the views, as stored."""
-        self._align.load(image, *views)
-
     def __call__(self, map_: Array, curvature_out: Array, slope_out: Array) -> None:
         """Curvature and slope [y, x] of how the views differ at a map [y, x]."""
         self._hiding(map_, self._offsets, self._nearest, reach=_BESIDE)
-        self._align(map_, self._nearest, curvature_out, slope_out)
+        self.align(map_, self._nearest, curvature_out, slope_out)

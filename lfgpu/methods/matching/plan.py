@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import Array, Device, Float32Array, Scalar
+from lfgpu.contract import Array, Device, Float32Array
 from lfgpu.data.layout import ViewLayout
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.arena import Arena
@@ -55,6 +55,8 @@ class MatchingPlan:
             arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.is_live
         )
         self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
+        self.trust = self._alignment.trust
+        """A number on the device: 0 if the last run found no estimate."""
         are_two = self._sweeps.second is not None
         # A CPU computes the weights of like pixels again for the second map: they are quickly found, and large.
         self._completion = Completion(frame, keeps_prior=self.is_live or (are_two and device.is_gpu))
@@ -71,7 +73,8 @@ class MatchingPlan:
     def _in_units(self, measured: Measured) -> MatchingConfig:
         """Return the parameters in units of a measured noise."""
         assert measured.noise is not None  # this method measures it
-        self._noise = noise_of_views(measured.noise, measured.grain, self._given.sweep)
+        self.noise = noise_of_views(measured.noise, measured.grain, self._given.sweep)
+        """The root mean square difference between views that agree, intensity."""
         return in_units_of(measured.noise, self._given, grain=measured.grain, exposure=measured.exposure)
 
     def follow(self, measured: Measured) -> bool:
@@ -87,11 +90,6 @@ class MatchingPlan:
         """Return the work of each stage on `views` [n, y, x, c], as stored, by name and in order."""
         again: dict[str, Work] = {"resweep": self._sweep_again} if self._sweeps.are_several else {}
         return {"sweep": lambda _: self._sweep(views), **again, "align": self._align, "boundaries": self._finish}
-
-    @property
-    def trust(self) -> Scalar:
-        """A number on the device: 0 if the last run found no estimate."""
-        return self._alignment.trust
 
     def check(self, name: str, trust: float) -> None:
         """Raise LightFieldError, which names `name`, if that number says that the last run found no estimate."""
@@ -121,7 +119,7 @@ class MatchingPlan:
         trace, halfway = self._alignment.trace(), self._frame.disparities.step / 2
         return Solution(
             converged=trace[-1] <= halfway,
-            status=f"Noise between views: {self._noise:.2g} of full intensity. The last step of the alignment moved "
+            status=f"Noise between views: {self.noise:.2g} of full intensity. The last step of the alignment moved "
             f"pixels by {trace[-1]:.2g} px (rms); compared disparities are {2 * halfway:.2g} px apart.",
             iterations=len(trace),
             evaluations=len(trace),

@@ -74,11 +74,6 @@ class TemporalMatching(MatchingPlan):
         self._hides = arena.field("expected surface", size)
 
     @property
-    def noise(self) -> float:
-        """The root mean square difference between views that agree, intensity."""
-        return self._noise
-
-    @property
     def numbers(self) -> tuple[Scalar, Scalar]:
         """The amount of texture, 0 if there was none; and the size of the first step, NaN if a value was not finite."""
         return self._alignment.trust, self._alignment.moves[0]

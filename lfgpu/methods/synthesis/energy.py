@@ -40,7 +40,7 @@ class Energy:
     def load(self) -> None:
         """Compute the curvature from what the model and the prior have loaded."""
         kernels, prior, curvature, weight = self._prior.kernels, self._prior, self.curvature, 4.0 * self._smoothness
-        self._model.curvature(curvature)
+        self._model.squared_error.curvature(curvature)
         kernels.axpby(self._model.mean, curvature, weight, prior.degree, curvature)
         kernels.axpby(1.0, curvature, -weight, prior.ones, curvature)  # a pixel is not its own neighbour
         kernels.dot(curvature, prior.ones, self._share)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lfgpu.contract import Array, Device, Scalar
+from lfgpu.contract import Array, Device
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.synthesis.config import RefinementConfig
 
@@ -45,7 +45,8 @@ class ForwardModel:
         self._normalize = kernels.normalization(
             shape, device.name, scale=layout.scale, sigma=config.detail_scale, floor=config.contrast_floor
         )
-        self._data_term = kernels.data_term(shape, self._offsets, scale=1.0, softness=config.softness)
+        self.squared_error = kernels.data_term(shape, self._offsets, scale=1.0, softness=config.softness)
+        """The squared error, summed over pixels, views and channels, and its gradient; `mean` is its factor."""
 
     def load(self, views: Array, start: Array | None = None) -> None:
         """Take recorded views [n, y, x, c], as stored, and perhaps a first disparity map [y, x].
@@ -56,16 +57,8 @@ class ForwardModel:
         kernels = self._kernels
         self._normalize(views, self.valid, self._detail)
         kernels.intensities(self._detail, self._reference, self.valid, scale=1.0, fill=0.0, image_out=self._image)
+        compared = self.valid
         if start is not None and self._masks_rim:
-            kernels.seen_by_reference(start, self._offsets, self.known, self.valid, seen_out=self._seen)
-        self._data_term.load(
-            self._image, self._detail, self._seen if start is not None and self._masks_rim else self.valid
-        )
-
-    def squared_error(self, disparity: Array, gradient_out: Array, value_out: Scalar) -> None:
-        """Compute the squared error, summed over pixels, views and channels, and its gradient; `mean` is its factor."""
-        self._data_term(disparity, gradient_out, value_out)
-
-    def curvature(self, curvature_out: Array) -> None:
-        """Approximate the second derivative of the squared error by the disparity of each pixel, a field [y, x]."""
-        self._data_term.curvature(curvature_out)
+            compared = self._seen
+            kernels.seen_by_reference(start, self._offsets, self.known, self.valid, seen_out=compared)
+        self.squared_error.load(self._image, self._detail, compared)

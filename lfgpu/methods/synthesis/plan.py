@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients, Scalar
+from lfgpu.contract import Array, Device, Float32Array, OverPatch, PatchGradients
 from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.errors import LightFieldError
@@ -107,6 +107,8 @@ class SynthesisPlan:
         self._local = LocalEstimator(layout, bounds, config.local, device)
         self._prior = planned_prior(shape, config.prior, device)
         self._propagation = Propagation(layout.size, bounds, self._prior, config.propagation)
+        self.trust = self._propagation.trusted
+        """A number on the device: 0 if the last run found no estimate."""
         self.disparity, self.confidence = (device.zeros(layout.size) for _ in range(2))
         """The results, fields [y, x]."""
         start = self._propagation.filled if config.refinement.smooths == "change" else None
@@ -135,11 +137,6 @@ class SynthesisPlan:
             "propagate": lambda callback: self._fill(views, callback),
             "refine": lambda callback: self._refine(views, callback),
         }
-
-    @property
-    def trust(self) -> Scalar:
-        """A number on the device: 0 if the last run found no estimate."""
-        return self._propagation.trusted
 
     def check(self, name: str, trust: float) -> None:
         """Raise LightFieldError, which names `name`, if that number says that the last run found no estimate."""
