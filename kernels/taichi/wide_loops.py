@@ -38,11 +38,8 @@ def _widen(kernel: ast.FunctionDef, count: int) -> None:
         if isinstance(statement, ast.For) and not is_own and (end := _end(statement, known)) is not None:
             kernel.body[place] = _in_threads(statement, end, count)
         is_own = ast.unparse(statement).startswith("ti.loop_config(")
-        known |= {name.id for name in ast.walk(statement) if isinstance(name, ast.Name) and _is_set(name)}
-
-
-def _is_set(name: ast.Name) -> bool:
-    return isinstance(name.ctx, ast.Store)
+        names = (name for name in ast.walk(statement) if isinstance(name, ast.Name))
+        known |= {name.id for name in names if isinstance(name.ctx, ast.Store)}
 
 
 def _end(loop: ast.For, known: set[str]) -> ast.expr | None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, open_device, package_of
 from lfgpu.config import Config
-from lfgpu.contract import Array, Float32Array
+from lfgpu.contract import Float32Array
 from lfgpu.data import DepthResult, LightField, check_light_field, interop
 from lfgpu.data.light_field_checks import check_scaled
 from lfgpu.data.mapping import is_mapped
@@ -345,7 +345,7 @@ class DepthPipeline:
         disparity = self._checked_disparity()
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
         position = lf.positions[lf.reference_index]
-        confidence = self._map(self._plan.confidence)
+        confidence = self.kernels.numpy(self._plan.confidence).astype(np.float32, copy=False)
         return DepthResult(
             disparity=disparity,
             confidence=confidence,
@@ -446,9 +446,6 @@ class DepthPipeline:
                 with self._device.asking():
                     self._follow_measured(measured)
             raise
-
-    def _map(self, field: Array) -> Float32Array:
-        return self.kernels.numpy(field).astype(np.float32, copy=False)
 
     def _checked_disparity(self) -> Float32Array:
         if not self._is_whole:
