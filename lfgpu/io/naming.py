@@ -306,6 +306,11 @@ def _is_moment(parts: list[int]) -> bool:
 # --- patterns ---
 
 
+def names_times(pattern: str) -> bool:
+    """Tell whether a pattern names numbers that are times."""
+    return any(_FIELDS.get(field.strip().lower()) == TIME for field in re.findall(r"\{([^{}]*)\}", pattern))
+
+
 def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:
     """Find the pictures that a pattern such as "cam{u}_frame{t}.png" names, with the numbers as it says.
 
