@@ -25,7 +25,7 @@ from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.contract import Device
-from lfgpu.io import load as load_result, read, read_map
+from lfgpu.io import RESULT_FILE, load as load_result, read, read_map
 from lfgpu.methods import method_of, preset
 
 # --- what there is to do ---
@@ -137,6 +137,16 @@ def test_pictures_tell_folders_that_are_cameras_from_light_fields(names_of: str,
         read(tmp_path / "cameras")
     assert read(tmp_path / "cameras", pattern=pattern, frame=1).grid_shape == (1, 3)
     assert len(names(tmp_path / "fields")) == 3
+
+
+def test_a_light_field_with_its_results_beside_the_views_is_an_input(tmp_path: Path) -> None:
+    for folder, file in (("a", "view_0_0.png"), ("a", "view_0_1.png"), ("out", "disparity.png"), ("b", "0_0.png")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        Image.fromarray(np.full((40, 48), len(file), np.uint8)).save(tmp_path / folder / file)
+    Image.fromarray(np.zeros((40, 48), np.uint8)).save(tmp_path / "b" / "0_1.png")
+    for folder in ("a", "out"):
+        (tmp_path / folder / RESULT_FILE).write_bytes(b"")
+    assert names(tmp_path) == ["a", "b"]
 
 
 def test_light_fields_beside_a_folder_of_the_archive_are_found(scene_folders: Path, tmp_path: Path) -> None:
