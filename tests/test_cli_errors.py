@@ -176,6 +176,21 @@ def test_an_interruption_that_comes_in_a_destructor_comes_again(recorded: Path, 
     assert (done.stdout, done.stderr) == ("", "lfgpu: interrupted; outputs are whole or not there.\n")
 
 
+def test_an_interruption_while_commands_are_loaded_is_one_sentence() -> None:
+    code = (
+        "import sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'lfgpu.cli':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted())\n"
+        "import runpy\n"
+        "runpy.run_module('lfgpu', run_name='__main__')\n"
+    )
+    found = python("-c", code)
+    assert (found.returncode, found.stderr) == (130, "lfgpu: interrupted; nothing was done.\n")
+
+
 def test_what_fails_after_an_interruption_is_not_its_cause(
     recorded: Path, out: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
