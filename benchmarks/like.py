@@ -12,7 +12,7 @@ import numpy as np
 import typer
 
 from benchmarks import population, runs
-from benchmarks.options import DeviceName, Out, check_out, say
+from benchmarks.options import DeviceName, Out, Side, check_out, say
 from benchmarks.results import Record, Run
 from benchmarks.tables import Table
 from lfgpu import LightField, scenes
@@ -37,7 +37,7 @@ _GENERATED, _SEED = 16, 77  # light fields of the generator, and their seed, whi
 def command(
     minutes: Annotated[float, typer.Option(min=0, help="Time for the training of each rig.")] = 2.5,
     steps: Annotated[int, typer.Option(min=1)] = 1800,
-    side: Annotated[int, typer.Option(min=32, help="Height of the views, pixels, a multiple of 32.")] = 192,
+    side: Side = 192,
     batch: Annotated[int, typer.Option(min=2, help="Light fields of a step.")] = 8,
     device: DeviceName = None,
     out: Out = None,

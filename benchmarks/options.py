@@ -38,6 +38,17 @@ Presets = Annotated[str, typer.Option(metavar="NAME,...")]
 Backends = Annotated[str, typer.Option(metavar="NAME,...")]
 Seconds = Annotated[float, typer.Option(min=0.01, help="For each measurement, at most.")]
 
+
+def _multiple_of_32(side: int) -> int:
+    if side % 32:
+        raise typer.BadParameter(f"it must be a multiple of 32, not {side}.")
+    return side
+
+
+Side = Annotated[
+    int, typer.Option(min=32, callback=_multiple_of_32, help="Height of the light fields, pixels: a multiple of 32.")
+]
+
 Row = TypeVar("Row")
 
 

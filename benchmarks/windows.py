@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.options import DeviceName, say
+from benchmarks.options import DeviceName, Side, say
 from lfgpu._backends import DEFAULT
 from lfgpu.cli.batch import devices_of
 from lfgpu.methods.matching.learned import weights_of
@@ -24,7 +24,7 @@ def command(
     minutes: Annotated[float, typer.Option(min=0, help="Time for training, at most.")] = 10,
     steps: Annotated[int, typer.Option(min=1, help="Steps of the whole run.")] = 4500,
     batch: Annotated[int, typer.Option(min=1, metavar="N", help="Light fields of a step, on each device.")] = 8,
-    side: Annotated[int, typer.Option(min=32, help="Pixels of these, each way: a multiple of 32.")] = 192,
+    side: Side = 192,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     device: DeviceName = None,
 ) -> None:

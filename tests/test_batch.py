@@ -260,6 +260,23 @@ def test_ctrl_c_while_workers_start_ends_the_batch_afterwards(monkeypatch: pytes
     assert signal.pthread_sigmask(signal.SIG_BLOCK, []) == mask
 
 
+def test_processes_that_start_while_ctrl_c_waits_ignore_it() -> None:
+    """The first process of a program starts another one, which tracks resources, and unblocked Ctrl-C after that."""
+    code = (
+        "import signal\n"
+        "from concurrent.futures import ThreadPoolExecutor\n"
+        "from multiprocessing import resource_tracker\n"
+        "from lfgpu.batch.cluster import _ctrl_c_waits\n"
+        "def start():\n"
+        "    resource_tracker.getfd()\n"
+        "    return signal.SIGINT in signal.pthread_sigmask(signal.SIG_BLOCK, [])\n"
+        "with _ctrl_c_waits(), ThreadPoolExecutor() as pool:\n"
+        "    print(pool.submit(start).result())\n"
+    )
+    found = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert found.stdout == "True\n"
+
+
 def test_ctrl_c_among_results_ends_the_batch(
     scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -15,7 +15,7 @@ from batch_runs import COUNT, FAST, QUICK, RANGE, assert_nothing_left_over, done
 from command_line import lfgpu, refused
 from PIL import Image
 
-from lfgpu import DepthPipeline, LightFieldError, estimate_depth
+from lfgpu import DepthPipeline, LightFieldError, estimate_depth, scenes
 from lfgpu._backends import load
 from lfgpu.batch import items
 from lfgpu.batch.cluster import Cluster
@@ -25,7 +25,7 @@ from lfgpu.batch.report import write_report
 from lfgpu.batch.run import Batch, _jobs
 from lfgpu.batch.work import Settings, work
 from lfgpu.contract import Device
-from lfgpu.io import load as load_result, read, read_map
+from lfgpu.io import RESULT_FILE, load as load_result, read, read_map
 from lfgpu.methods import method_of, preset
 
 # --- what there is to do ---
@@ -108,6 +108,11 @@ def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: P
         ("cam{u}/{kind}.png", ["in"]),
         ("time{t}/cam{u}.png", ["time0", "time1"]),
         ("lf{t}/view_{u}.png", ["lf0", "lf1"]),
+        ("camera{u}/images/frame{t}.png", ["in/0000", "in/0001"]),
+        ("{side}/images/{t}.png", ["in"]),
+        ("{u}/frame_{t}.png", ["in"]),
+        ("left{u}/{t}.png", ["in"]),
+        ("scan{t}/images/{u}.png", ["scan0/images", "scan1/images"]),
     ],
 )
 def test_folders_that_are_cameras_are_no_light_fields(file: str, found: list[str], tmp_path: Path) -> None:
@@ -116,6 +121,32 @@ def test_folders_that_are_cameras_are_no_light_fields(file: str, found: list[str
         path.parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(np.full((40, 48), 50 * u + 9 * t, np.uint8)).save(path)
     assert names(tmp_path / "in") == found
+
+
+@pytest.mark.parametrize("names_of", ["{u}/{t:03d}.png", "{u}/images/{t:03d}.png"])
+def test_pictures_tell_folders_that_are_cameras_from_light_fields(names_of: str, tmp_path: Path) -> None:
+    options = {"grid": (1, 3), "size": (64, 72), "disparity_range": (-1, 1)}
+    for k, lf in enumerate(scenes.sequence("moving", frames=3, **options)):
+        for u, view in enumerate(lf.views):
+            for folder, file in (("cameras", names_of.format(u=u, t=k)), ("fields", names_of.format(u=k, t=u))):
+                (tmp_path / folder / file).parent.mkdir(parents=True, exist_ok=True)
+                Image.fromarray(view).save(tmp_path / folder / file)
+    assert names(tmp_path / "cameras") == ["cameras"]
+    pattern = names_of.replace(":03d", "")
+    with pytest.raises(LightFieldError, match=r"several folders with numbered images \(0, 1, 2\); give one"):
+        read(tmp_path / "cameras")
+    assert read(tmp_path / "cameras", pattern=pattern, frame=1).grid_shape == (1, 3)
+    assert len(names(tmp_path / "fields")) == 3
+
+
+def test_a_light_field_with_its_results_beside_the_views_is_an_input(tmp_path: Path) -> None:
+    for folder, file in (("a", "view_0_0.png"), ("a", "view_0_1.png"), ("out", "disparity.png"), ("b", "0_0.png")):
+        (tmp_path / folder).mkdir(exist_ok=True)
+        Image.fromarray(np.full((40, 48), len(file), np.uint8)).save(tmp_path / folder / file)
+    Image.fromarray(np.zeros((40, 48), np.uint8)).save(tmp_path / "b" / "0_1.png")
+    for folder in ("a", "out"):
+        (tmp_path / folder / RESULT_FILE).write_bytes(b"")
+    assert names(tmp_path) == ["a", "b"]
 
 
 def test_light_fields_beside_a_folder_of_the_archive_are_found(scene_folders: Path, tmp_path: Path) -> None:

@@ -8,16 +8,18 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
-from command_line import OUTPUTS, RANGE, holes, lfgpu, refused
+from command_line import OUTPUTS, RANGE, boxes, holes, lfgpu, refused
 
 from lfgpu import scenes
 from lfgpu.config import Config, Section, number, parameters
 from lfgpu.errors import LightFieldError
-from lfgpu.io import formats
+from lfgpu.io import check_writable, formats, load, read as read_files, write_hci
 from lfgpu.io.formats import FORMATS, Format
+from lfgpu.io.frames import write_frames
 from lfgpu.methods import METHODS, PRESETS, Entry, preset
 
 
@@ -89,6 +91,38 @@ def test_missing_output_is_wrong_usage(recorded: Path) -> None:
     assert "Traceback" not in outcome.err
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        ("depth lf -o ", "-o"),
+        ("depth lf --out=", "--out"),
+        ("live lf -o out --record ", "--record"),
+        ("info ", "an argument"),
+        ("batch lf  -o out", "an argument"),
+        ("info -- ", "an argument"),
+        ("depth lf -o out --pattern ", "--pattern"),
+    ],
+)
+def test_an_empty_name_is_not_the_current_folder(
+    words: str, name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_hci(boxes(), "lf")
+    found = lfgpu(*words.split(" "))
+    assert found.code == 2
+    assert f"Invalid value for {name}: it is empty" in found.err
+    assert [path.name for path in tmp_path.iterdir()] == ["lf"]
+    assert lfgpu("info", "lf", "--flip", "").code == 0
+
+
+def test_an_empty_name_is_not_the_current_folder_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    for call in (partial(write_hci, boxes()), read_files, load, check_writable, partial(write_frames, [])):
+        with pytest.raises(LightFieldError, match="the path is empty; name a file or a folder"):
+            call("")
+    assert list(tmp_path.iterdir()) == []
+
+
 def raising(error: BaseException) -> Callable[..., None]:
     def fail(*_: object, **__: object) -> None:
         raise error
@@ -140,6 +174,21 @@ def test_an_interruption_that_comes_in_a_destructor_comes_again(recorded: Path, 
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 130, done.stderr
     assert (done.stdout, done.stderr) == ("", "lfgpu: interrupted; outputs are whole or not there.\n")
+
+
+def test_an_interruption_while_commands_are_loaded_is_one_sentence() -> None:
+    code = (
+        "import sys\n"
+        "class Interrupted:\n"
+        "    def find_spec(self, name, *_):\n"
+        "        if name == 'lfgpu.cli':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupted())\n"
+        "import runpy\n"
+        "runpy.run_module('lfgpu', run_name='__main__')\n"
+    )
+    found = python("-c", code)
+    assert (found.returncode, found.stderr) == (130, "lfgpu: interrupted; nothing was done.\n")
 
 
 def test_what_fails_after_an_interruption_is_not_its_cause(

@@ -64,6 +64,21 @@ def test_runs_again_give_the_same_map(target: Any, damaged: bool) -> None:
     assert_same(third, first, target)
 
 
+@pytest.mark.parametrize("config", ["fast", CONFIG], ids=["matching", "synthesis"])
+def test_a_result_copies_each_map_once(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    pipeline = DepthPipeline(scene(damaged=True), config=configured(config), disparity_range=RANGE, device="cpu")
+    disparity, copied, kernels = ran(pipeline), list[object](), pipeline.kernels
+    numpy, read, final = kernels.numpy, kernels.read, pipeline._plan.disparity
+    monkeypatch.setattr(kernels, "numpy", lambda field: (copied.append(field), numpy(field))[1])
+    monkeypatch.setattr(kernels, "read", lambda field, *more: (copied.append(field), read(field, *more))[1])
+    result = pipeline.result()
+    assert sum(field is final for field in copied) == 1
+    np.testing.assert_array_equal(result.disparity, disparity)
+    last = list(result.stages.values())[-1]
+    np.testing.assert_array_equal(last, disparity)
+    assert not np.shares_memory(last, result.disparity)
+
+
 @pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
 def test_other_views_give_what_a_fresh_pipeline_gives(target: Any, damaged: bool) -> None:
     fields = [scene(seed, damaged=damaged) for seed in range(3)]

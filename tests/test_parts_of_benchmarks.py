@@ -260,7 +260,14 @@ def test_the_judge_on_the_command_line(tmp_path: Path) -> None:
     assert np.hypot(*np.subtract(draw["found"], draw["moved"])) < 0.05
 
 
-# --- like ---
+# --- like, windows ---
+
+
+@pytest.mark.parametrize("command", ["like", "windows"])
+def test_sides_that_the_network_does_not_take_are_refused(command: str, tmp_path: Path) -> None:
+    outcome = CliRunner().invoke(app, [command, "--side", "100", "-o", str(tmp_path / "out.npz")])
+    assert outcome.exit_code == 2
+    assert "it must be a multiple of 32, not 100." in outcome.output
 
 
 def test_gain_is_fitted_over_shipped_for_each_rig() -> None:

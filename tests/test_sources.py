@@ -166,8 +166,10 @@ def test_a_growing_folder_that_is_not_there(tmp_path: Path) -> None:
 
 def test_options_that_a_source_does_not_read_are_refused(tmp_path: Path) -> None:
     write_hci(film()[0], tmp_path / "0")
-    with pytest.raises(lfgpu.LightFieldError, match="takes no grid and no size: it is a folder that holds"):
-        open_source(str(tmp_path), Options(grid=(2, 3), scene={"size": (24, 24)}))
+    with pytest.raises(lfgpu.LightFieldError, match="takes no frame and no like and no size: it is a folder that"):
+        open_source(str(tmp_path), Options(like=film()[0], reading={"frame": 1}, scene={"size": (24, 24)}))
+    with pytest.raises(lfgpu.LightFieldError, match="takes no pattern: it is a synthetic scene"):
+        open_source("moving", Options(reading={"pattern": "{u}.png"}))
     with pytest.raises(lfgpu.LightFieldError, match="takes no like: it is a synthetic scene"):
         open_source("moving", Options(like=film()[0]))
 

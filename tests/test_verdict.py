@@ -19,7 +19,7 @@ from lfgpu.batch.work import Job, Settings, work
 from lfgpu.calibration import Misalignment, disturb
 from lfgpu.data import DepthResult, LightField
 from lfgpu.io import write_hci
-from lfgpu.methods import method_of, preset
+from lfgpu.methods import PresetName, method_of, preset
 from lfgpu.viewer.solving import Request, Solver
 
 Said = tuple[tuple[str, ...], tuple[str, ...]]
@@ -139,6 +139,24 @@ def test_disparities_that_lie_far_apart_in_a_wide_range_are_a_note() -> None:
     assert again.notes == result.notes
     assert method_of("fast").doubt(lf.layout, bounds) is None
     assert method_of("paper").doubt(lf.layout, bounds) is None
+
+
+def test_a_wide_range_is_a_note_on_what_limits_the_preset() -> None:
+    layout = scenes.make("planes", grid=(3, 3), size=(32, 32)).layout
+
+    def doubt(name: PresetName, width: float, most: int = 256) -> str:
+        config = preset(name).with_values({"sweep.max_labels": most})
+        return method_of(config).doubt(layout, (0.0, width)) or ""
+
+    assert not doubt("learned", 29.0)
+    assert "the 64 disparities that are compared lie 0.68 px apart in the farthest view of the network" in doubt(
+        "learned", 40.0, most=4096
+    )
+    assert "max_labels" not in doubt("learned", 400.0)
+    assert not doubt("surest", 100.0)  # the sweeps miss nothing there
+    assert not doubt("surest", 29.0, most=8)  # the network misses nothing
+    assert "a larger sweep.max_labels" in doubt("surest", 400.0)
+    assert not doubt("surest", 400.0, most=4096)
 
 
 def test_maps_of_all_views_are_less_confident_where_cameras_are_askew() -> None:

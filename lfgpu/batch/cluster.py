@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from tempfile import TemporaryDirectory
 from types import TracebackType
 from typing import Any, Self
@@ -373,7 +374,9 @@ class Cluster:
 @contextmanager
 def _ctrl_c_waits() -> Iterator[None]:
     """Raise Ctrl-C at the end of this block; the processes that are started in it ignore it."""
-    mask = getattr(signal, "pthread_sigmask", lambda *_: None)  # Windows has none
+    mask = getattr(signal, "pthread_sigmask", lambda *_: None)
+    if hasattr(signal, "pthread_sigmask"):  # Windows has none
+        resource_tracker.ensure_running()  # else the thread that starts the first process does, and unblocks it
     pressed: list[int] = []
     with on_signal(signal.SIGINT, lambda sign, _: pressed.append(sign)):
         mask(signal.SIG_BLOCK, {signal.SIGINT})  # of this thread; new threads and their processes inherit it

@@ -18,6 +18,7 @@ from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
 from lfgpu.io.formats import FORMATS, inside, kind
 from lfgpu.io.map_formats import REPORT_FILE
+from lfgpu.io.naming import families
 from lfgpu.io.numbered import frames_of, holds_cameras
 from lfgpu.io.numpy_file import holds_views
 from lfgpu.printable import printable
@@ -183,7 +184,8 @@ class _Search:
             return [folder]
         if kind in _LOOSE and holds_cameras(folder):
             return [folder]
-        if any((folder / name).is_file() for name in _OF_OUTPUTS):
+        has_views = bool(families(image_files(folder), folder))  # numbered: somebody wrote results beside them
+        if any((folder / name).is_file() for name in (_OF_OUTPUTS[:1] if has_views else _OF_OUTPUTS)):
             return []
         before, inside = len(self.barren), list(self._inside(folder))
         own = len(image_files(folder)) if kind is not None else 0

@@ -7,6 +7,7 @@ commands load no registry to say what they do.
 from collections.abc import Callable
 from typing import Any
 
+import typer
 from typer.core import TyperCommand
 
 EXAMPLE = "Example: "
@@ -31,7 +32,9 @@ class Command(TyperCommand):
         return self.summary
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse arguments; a range may be two numbers, "-2 2", where its option takes "-2,2"."""
+        """Parse arguments, none of them empty; a range may be two numbers, "-2 2", where its option takes "-2,2"."""
+        if not ctx.resilient_parsing:
+            self._check_none_is_empty(ctx, args)
         joined = list(args)
         for place, name in enumerate(args):
             pair = args[place + 1 : place + 3]
@@ -39,6 +42,17 @@ class Command(TyperCommand):
                 joined[place + 1 : place + 3] = [",".join(pair)]
                 break
         return super().parse_args(ctx, joined)
+
+    def _check_none_is_empty(self, ctx: Any, args: list[str]) -> None:
+        """Refuse empty words, such as of a variable that is not set: as a path they mean the current folder."""
+        may_be = {name for parameter in self.params if parameter.default == "" for name in parameter.opts}
+        for before, word in zip(["", *args], args, strict=False):
+            name = before if before.startswith("-") else ""
+            if word.startswith("--") and word.endswith("="):
+                name, word = word[:-1], ""
+            if not word and name not in may_be:
+                hint = name if name.strip("-") else "an argument"
+                raise typer.BadParameter("it is empty, as a variable is that is not set.", ctx=ctx, param_hint=hint)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Put the lists into the help texts, then show them."""

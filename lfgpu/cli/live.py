@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Cold, Device, Parameters, Quiet, Threads
+from lfgpu.cli.options import Cold, Device, Parameters, Quiet, ReadingIncomplete, Threads
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.threads import on_signal
 
@@ -35,6 +35,21 @@ class _Parameters(Parameters):
     """Options that choose the parameters of a method that takes streams."""
 
     preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate"
+
+
+@dataclass(frozen=True)
+class _Reading(ReadingIncomplete):
+    """Options of the cameras, and of the files in a folder."""
+
+    grid: Annotated[
+        str | None,
+        typer.Option(
+            metavar="ROWSxCOLUMNS",
+            help="Rows and columns of the cameras, or of the views in each frame of a video, row by row.",
+            show_default="a row; 7x7 for a scene; found in a folder",
+        ),
+    ] = None
+    frame: Annotated[int | None, typer.Option(hidden=True)] = None  # a stream has all; whoever gives one is told
 
 
 def live(
@@ -93,14 +108,7 @@ def live(
             "--view has a button that stops and resumes it.",
         ),
     ] = None,
-    grid: Annotated[
-        str | None,
-        typer.Option(
-            metavar="ROWSxCOLUMNS",
-            help="Rows and columns of the cameras, or of the views in each frame of a video, row by row.",
-            show_default="a row; 7x7 for a scene",
-        ),
-    ] = None,
+    reading: _Reading,
     like: Annotated[
         Path | None,
         typer.Option(
@@ -164,9 +172,11 @@ def live(
     values.use_threads("--threads", threads)
     rectifier = None if rectify is None else calibration.read_rectifier(rectify)
     made = {"size": values.parse_size("--size", size, "HEIGHTxWIDTH such as 192x256"), "noise": noise}
+    read_with = reading.options()
     options = Options(
-        grid=values.parse_size("--grid", grid, "ROWSxCOLUMNS such as 9x9"),
+        grid=read_with.pop("grid", None),
         like=None if like is None else read(like),
+        reading=read_with,
         scene={name: value for name, value in made.items() if value is not None},
         most=frames,
         rectifier=rectifier,

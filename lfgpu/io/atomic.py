@@ -93,9 +93,16 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
         raise LightFieldError(f"{target} cannot be written: no permission to write in {place}; choose another place.")
 
 
+def named(path: str | os.PathLike[str]) -> Path:
+    """Return a path; LightFieldError if it is empty, which would mean the current folder."""
+    if not os.fspath(path):
+        raise LightFieldError("the path is empty; name a file or a folder.")
+    return Path(path)
+
+
 def _resolved(path: str | os.PathLike[str]) -> Path:
     try:
-        return Path(path).resolve()
+        return named(path).resolve()
     except (OSError, RuntimeError) as error:
         raise LightFieldError(f"{os.fspath(path)} cannot be written: its links lead in a circle.") from error
 

@@ -1,5 +1,6 @@
 """Contradictions between the pictures of a light field and the places of their cameras, in sentences."""
 
+import math
 from collections.abc import Iterator
 from itertools import islice
 
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 from lfgpu.data import LightField
 from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.data.windows import mean_of_channels
-from lfgpu.io.flips import ORDERS, reordered
+from lfgpu.io.flips import ORDERS, places_in
 from lfgpu.io.parallax import AROUND, FITS, SMALLEST, Pair, alike, beside, fit, grey_of, moves, shrunk
 
 _STEPS = 4  # of views that are looked at on either side of the reference
@@ -236,7 +237,7 @@ def contradiction(light_field: LightField) -> str | None:
         max(scores) > found.explained - _MISFIT or any(_moves_as_said(light_field, axis, factor) for axis in (0, 1))
     ):
         return None
-    told = "" if order is None else f"; --order {order} fits (order= in Python)"
+    told = f"; --order {order} fits (order= in Python)" if order is not None and not light_field.missing else ""
     return f"By their parallax the views do not stand where they are said to stand{told}."
 
 
@@ -284,13 +285,18 @@ def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, i
 def _order(
     light_field: LightField, chosen: list[int], vectors: NDArray[np.float64], once: NDArray[np.float64]
 ) -> str | None:
-    """Find the order of a full grid that fits distances of cameras from the reference, divided by `once`; else None."""
-    shape = light_field.grid_shape
-    if shape is None or light_field.missing or min(shape) < 2:
+    """Find the order of a full grid that fits distances of cameras from the reference, divided by `once`; else None.
+
+    Rows and columns without any view, such as those before a first one that is numbered 1, are not counted.
+    """
+    (columns, column), (rows, row) = (np.unique(axis, return_inverse=True) for axis in light_field.positions.T)
+    shape = len(rows), len(columns)
+    if light_field.grid_shape is None or math.prod(shape) != len(light_field.views) or min(shape) < 2:
         return None
     scores = {}
     for order in ORDERS[1:]:
-        positions = reordered(light_field, order).positions
+        there = places_in(shape, order)[row * len(columns) + column]
+        positions = np.stack([columns[there[:, 1]], rows[there[:, 0]]], axis=1)
         scores[order] = fit(vectors, (positions[chosen] - positions[light_field.reference_index]) / once)
     best = max(scores, key=lambda order: scores[order])
     return best if scores[best] > FITS else None

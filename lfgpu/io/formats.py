@@ -33,6 +33,7 @@ from lfgpu.io import (
     video,
 )
 from lfgpu.io.arrays import check_axes
+from lfgpu.io.atomic import named
 from lfgpu.io.brightness import with_white, without_black_corners
 from lfgpu.io.contradictions import contradictions
 from lfgpu.io.damage import check_fetched
@@ -295,7 +296,7 @@ def read(
     """
     if not isinstance(path, str | os.PathLike):
         raise LightFieldError(f"path must name a file or a folder, not {path!r:.60}.")
-    path = Path(path)
+    path = named(path)
     check_flip(flip)
     check_grid_option(grid, order)
     check_unit(unit)

@@ -11,7 +11,7 @@ from PIL import Image
 
 from lfgpu.contract import Float32Array
 from lfgpu.errors import LightFieldError
-from lfgpu.io.atomic import atomic_folder, atomic_write
+from lfgpu.io.atomic import atomic_folder, atomic_write, named
 from lfgpu.io.damage import require
 from lfgpu.io.png import quantised, write_png
 
@@ -50,7 +50,7 @@ def write_frames(
     A path is .gif, which repeats for ever; .mp4 (H.264), which cuts an odd row or column off; or without a suffix a
     folder of frame_000.png and so on, of a `dtype`.
     """
-    path = Path(path)
+    path = named(path)
     check_frames_path(path)
     if not 0.1 <= fps <= 100:
         raise LightFieldError(f"frames per second must be 0.1 to 100, not {fps}.")

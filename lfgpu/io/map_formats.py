@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from lfgpu.data import DepthResult, DisparityMap, ViewsResult
 from lfgpu.errors import LightFieldError
 from lfgpu.io import exr, image_maps, pfm, ply, results
-from lfgpu.io.atomic import atomic_write
+from lfgpu.io.atomic import atomic_write, named
 from lfgpu.io.damage import check_fetched, how_to_install, read_as
 from lfgpu.io.folders import not_waited_for
 
@@ -193,7 +193,7 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
     >>> lfgpu.load("result.npz").confidence.shape
     (64, 80)
     """
-    path = Path(path)
+    path = named(path)
     if path.is_dir():
         file = result_in(path)
         if file is None:

@@ -178,7 +178,7 @@ def understood(names: Sequence[Name]) -> Naming:
     """Decide what numbers count: by the words beside them, as dates, and by the convention for two without words."""
     first, columns = names[0], list(zip(*(name.numbers for name in names), strict=True))
     varying = {place for place, values in enumerate(columns) if len(set(values)) > 1}
-    words = [_word(text, first=not place) for place, text in enumerate(first.texts[:-1])]
+    words = [word(text, first=not place) for place, text in enumerate(first.texts[:-1])]
     behind = [_word_behind(text) for text in first.texts[1:]]
     if len(behind) > 1 and all(behind) and not words[0]:  # "0row_2col"
         words = behind
@@ -192,7 +192,7 @@ def understood(names: Sequence[Name]) -> Naming:
     return Naming(tuple(names), tuple(Number(*what, tuple(v)) for what, v in zip(meanings, columns, strict=True)))
 
 
-def _word(before: str, *, first: bool) -> str:
+def word(before: str, *, first: bool = False) -> str:
     """Return the word before a number, in lower case; "/" where it begins the name of a file in a folder."""
     if before.strip().lower() == "x" and before == before[::-1] and not first:  # 3x4, 3 x 4: three by four
         return ""
@@ -304,6 +304,11 @@ def _is_moment(parts: list[int]) -> bool:
 
 
 # --- patterns ---
+
+
+def names_times(pattern: str) -> bool:
+    """Tell whether a pattern names numbers that are times."""
+    return any(_FIELDS.get(field.strip().lower()) == TIME for field in re.findall(r"\{([^{}]*)\}", pattern))
 
 
 def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:

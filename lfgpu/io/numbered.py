@@ -9,7 +9,7 @@ from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax
 from lfgpu.io.arrays import grid_shape
-from lfgpu.io.folders import image_files, listed, sub_folders
+from lfgpu.io.folders import entries, image_files, listed, sub_folders
 from lfgpu.io.grid import by_place, read_grid
 from lfgpu.io.naming import (
     BESIDE,
@@ -26,6 +26,7 @@ from lfgpu.io.naming import (
     matching,
     understood,
     values,
+    word,
 )
 from lfgpu.io.questions import LOOKED_AT, beside, joined, question, rivals
 
@@ -154,7 +155,11 @@ def frames_of(path: Path, pattern: str | None = None) -> int:
 
 
 def holds_cameras(path: Path) -> bool:
-    """Tell whether folders in a folder are cameras, by the words in their names: then none is a light field itself."""
+    """Tell whether folders in a folder are cameras: then none is a light field itself.
+
+    The words in their names say so, "left" as well, or times in them that do not look like views. Where there are no
+    words, pictures say so: those of one folder do not stand in a line or a grid, those of one number in all folders do.
+    """
     if (found := _found(path)) is None:
         return False
     if found.rival is not None:
@@ -162,7 +167,23 @@ def holds_cameras(path: Path) -> bool:
         return found.alike and len(sides) == 1
     texts = found.naming.names[0].texts
     places = [(k, n) for k, n in enumerate(found.naming.numbers) if n.varies and n.meaning in (ROW, COLUMN, CAMERA)]
-    return bool(places) and all("word" in n.why and "/" in "".join(texts[k + 1 :]) for k, n in places)
+    if places and all("word" in n.why and "/" in "".join(texts[k + 1 :]) for k, n in places):
+        return True
+    varying = [(k, n) for k, n in enumerate(found.naming.numbers) if n.varies]
+    if len(varying) != 2 or "/" not in "".join(texts[varying[0][0] + 1 : varying[1][0] + 1]):
+        return False
+    (at, outer), (_, inner) = varying
+    if SIDE.fullmatch(word(texts[at])):
+        return True
+    if outer.meaning == TIME or ("word" in inner.why and inner.meaning != TIME):
+        return False
+    files = dict(zip(zip(outer.values, inner.values, strict=True), found.naming.files, strict=True))
+    one = [file for (folder, _), file in sorted(files.items()) if folder == outer.values[0]][:LOOKED_AT]
+    told = parallax.consecutive(one)
+    if parallax.line(told) or (told is not None and parallax.best_order(told, _grids(len(one))) is not None):
+        return False
+    across = [file for (_, number), file in sorted(files.items()) if number == inner.values[0]][:LOOKED_AT]
+    return inner.meaning == TIME or (parallax.one_scene(across) and bool(parallax.line(parallax.consecutive(across))))
 
 
 # --- which pictures ---
@@ -174,14 +195,14 @@ def _found(path: Path, pattern: str | None = None, kind: str | None = None) -> _
     own = image_files(path)
     if pattern is not None:
         depth = pattern.count("/")
-        files = own if depth == 0 else [file for folder in sub_folders(path) for file in image_files(folder)]
+        files = own if depth == 0 else _deeper(path)
         if depth == 0 and not files and len(sub_folders(path)) == 1:
             return _found(sub_folders(path)[0], pattern)
         naming = matching(files, path, pattern)
         return _Found(path, naming, tuple(file for file in files if file not in naming.files), None)
     kinds = families(own, path)
     if not kinds or not _may_be_views(kinds[0]):
-        deeper = families([file for folder in sub_folders(path) for file in image_files(folder)], path)
+        deeper = families(_deeper(path), path)
         if deeper and _may_be_views(deeper[0]):
             kinds, own = deeper, [name.file for kind in deeper for name in kind]
     if not kinds or not _may_be_views(kinds[0]):
@@ -202,6 +223,15 @@ def _found(path: Path, pattern: str | None = None, kind: str | None = None) -> _
         return _Found(path, understood(chosen), left_out, None)
     alike = {name.numbers for name in rivals[0]} == {name.numbers for name in chosen}
     return _Found(path, understood(chosen), left_out, rivals[0][0].file, alike)
+
+
+def _deeper(path: Path) -> list[Path]:
+    """List the images in the folders of a folder; where one holds nothing but a folder, such as "images", in that."""
+    files = []
+    for folder in sub_folders(path):
+        own = image_files(folder)
+        files += own if own or len(inside := entries(folder)) != 1 or not inside[0].is_dir() else image_files(inside[0])
+    return files
 
 
 def _may_be_views(kind: Sequence[Name]) -> bool:
@@ -359,20 +389,25 @@ def _read_row(
     return replace(light_field, reading=replace(light_field.reading, places=why))
 
 
+def _grids(count: int) -> list[tuple[int, int]]:
+    """List the (rows, columns) of grids of so many views, at least two of each."""
+    return [(rows, count // rows) for rows in range(2, count // 2 + 1) if count % rows == 0]
+
+
 def _shape(path: Path, files: Sequence[Path], count: int, *, down: bool) -> tuple[tuple[int, int], str]:
     """(rows, columns) of numbered cameras, and why: one row, if no grid is possible or the pictures show it."""
     if down:
         return (count, 1), "there is one column of cameras, counted downwards"
-    grids = [(rows, count // rows) for rows in range(2, count // 2 + 1) if count % rows == 0]
-    if not grids or len(files) != count:
+    possible = _grids(count)
+    if not possible or len(files) != count:
         return (1, count), "they are taken for one row, to the right in equal steps"
     looked_at = files[:LOOKED_AT]
     told = parallax.consecutive(looked_at)
     if parallax.line(told) == "row":
         return (1, count), "by their parallax they stand in one row; it is taken to run to the right in equal steps"
-    proposed = [*grids[: len(grids) // 2 + 1]] if len(grids) > 6 else grids
+    proposed = possible[: len(possible) // 2 + 1] if len(possible) > 6 else possible
     options = ", ".join(f"--grid {rows}x{columns}" for rows, columns in [(1, count), *proposed])
-    fit = parallax.best_order(told, [(1, count), (count, 1), *grids]) if told is not None else None
+    fit = parallax.best_order(told, [(1, count), (count, 1), *possible]) if told is not None else None
     shows = f"; by the pictures {fit} fits" if fit else ""
     shows += ", or with --flip u if near comes out far then" * ("--flip" in shows)
     raise LightFieldError(

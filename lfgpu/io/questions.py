@@ -17,7 +17,7 @@ def rivals(path: Path, naming: Naming, other: Path, *, alike: bool) -> str:
     advice = f'say --pattern "{stereo}"' if len(sides) == 1 else "count the cameras in them, such as cam0 and cam1"
     times = f" If these {what} are cameras and the numbers times, {advice}." * alike
     if what == "folders":
-        folders = f"{mine.parent.name}, {other.parent.name}"
+        folders = ", ".join(file.relative_to(path).parts[0] for file in (mine, other))
         return f"{path} has several folders with numbered images ({folders}); give one.{times}"
     unlike = [a + b for a, b in zip(mine.name, other.name, strict=False) if a != b]
     by_letter = len(mine.name) == len(other.name) and len(unlike) == 1 and unlike[0].isalpha()
@@ -56,7 +56,8 @@ def question(path: Path, naming: Naming) -> str | None:
             proposed = f'"{naming.pattern({at_folder: "t"})}" for times'
         else:
             last = inside[0] if inside else at_folder
-            camera, other = (at_folder, last) if at.get(CAMERA) == at_folder else (last, at_folder)
+            are_cameras = at.get(CAMERA) == at_folder or at.get(TIME) == last
+            camera, other = (at_folder, last) if are_cameras else (last, at_folder)
             proposed = (
                 f'"{naming.pattern({at_folder: "v", last: "u"})}" for rows and columns or '
                 f'"{naming.pattern({camera: "u", other: "t"})}" for cameras and times'

@@ -75,7 +75,10 @@ class Plan(Protocol):
         """Tell whether all numbers of the last run were finite; waits for the device."""
 
     def maps(self, *stages: str) -> dict[str, Float32Array]:
-        """Copy the map after each stage, or some, to the host, float32 [y, x] by name, NaN where it is undefined."""
+        """Copy the map after each stage, or some, to the host, float32 [y, x] by name, NaN where it is undefined.
+
+        That after the last stage is `disparity`.
+        """
 
     def uncertainty(self) -> Float32Array | None:
         """Standard deviation of the disparity, float32 [y, x], None if the method has none; waits for the device."""

@@ -342,8 +342,10 @@ class DepthPipeline:
 
         Its notes are those that the map alone gives; `lfgpu.judged` adds the verdict of the views.
         """
-        disparity = self._checked_disparity()
+        self._check_whole()
+        self._plan.check(self._lf.name, self.kernels.number(self._plan.trust))
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
+        disparity = maps[self.method.stages[-1].name].copy()
         position = lf.positions[lf.reference_index]
         confidence = self.kernels.numpy(self._plan.confidence).astype(np.float32, copy=False)
         return DepthResult(
@@ -447,12 +449,16 @@ class DepthPipeline:
                     self._follow_measured(measured)
             raise
 
-    def _checked_disparity(self) -> Float32Array:
+    def _check_whole(self) -> None:
+        """Raise LightFieldError if the last run did not come to its end, or views were not finite."""
         if not self._is_whole:
             state = "the last estimate did not come to its end" if self._runs else "nothing has been estimated yet"
             raise LightFieldError(f"{self._lf.name}: {state}; call run() or estimate() first.")
         if self._unseen and not self._plan.is_finite():
             raise LightFieldError(_NOT_FINITE)
+
+    def _checked_disparity(self) -> Float32Array:
+        self._check_whole()
         disparity, trust = self.kernels.read(self._plan.disparity, self._plan.trust)
         self._plan.check(self._lf.name, trust)
         return disparity.astype(np.float32, copy=False)

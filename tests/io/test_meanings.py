@@ -53,6 +53,15 @@ def test_a_grid_counted_by_the_second_of_two_numbers_is_asked_about(true: LightF
     assert read(column).grid_shape == (3, 1)
 
 
+@pytest.mark.parametrize("name", ["row{v}_col{u}.png", "row{v}_col1{u}.png", "y2{v}/x5{u}.png"])
+def test_rows_that_run_to_and_fro_are_noticed(true: LightField, tmp_path: Path, name: str) -> None:
+    """Also where numbers begin elsewhere, so that rows and columns before them have no views."""
+    save_as(tmp_path / "in", true, lambda v, u: name.format(u=u, v=v))
+    assert "parallax" not in " ".join(read(tmp_path / "in").notes)
+    save_as(tmp_path / "fro", true, lambda v, u: name.format(u=3 - u if v % 2 else u, v=v))
+    assert "By their parallax the views do not stand where they are said to stand" in read(tmp_path / "fro").notes[-1]
+
+
 def test_cameras_of_rows_and_numbers_with_other_words(true: LightField, tmp_path: Path) -> None:
     found = read(named(true, tmp_path / "cameras", "cam{u}/row{v}.png"))
     np.testing.assert_array_equal(found.view(2, 1), true.view(2, 1))

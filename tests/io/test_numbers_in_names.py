@@ -97,6 +97,23 @@ def test_cameras_and_times_in_folders(name: str, true: LightField, tmp_path: Pat
         save_as(tmp_path, moved(row, time), lambda v, u, time=time: name.format(n=u, t=time))
     pattern = {"pattern": name} if name.startswith("frame_") else {}
     np.testing.assert_array_equal(read(tmp_path, frame=1, **pattern).views, moved(row, 1).views)
+    live = list(frames(str(tmp_path), Options(reading=pattern)))
+    np.testing.assert_array_equal([lf.views for lf in live], [moved(row, time).views for time in range(3)])
+
+
+def test_live_frames_are_read_as_told(true: LightField, tmp_path: Path) -> None:
+    for time in range(2):
+        save_as(tmp_path / f"take_{time}", moved(true, time), lambda v, u: f"a{u}-b{v}-c7.png")
+    assert "--pattern" in refusal(lambda: list(frames(str(tmp_path), Options())))
+    live = list(frames(str(tmp_path), Options(reading={"pattern": "a{u}-b{v}-*.png"})))
+    np.testing.assert_array_equal([lf.views for lf in live], [moved(true, time).views for time in range(2)])
+    for time in range(2):
+        save_as(tmp_path / "row" / str(time), true, lambda v, u: f"img{4 * v + u:02d}.png")
+    assert "--grid" in refusal(lambda: list(frames(str(tmp_path / "row"), Options())))
+    assert next(frames(str(tmp_path / "row"), Options(grid=(3, 4)))).grid_shape == (3, 4)
+    ended = lfgpu("live", tmp_path, "--pattern", "x{u}.png", "--frames", 1, "--device", "cpu")
+    assert "no picture whose name is of the pattern" in ended.err
+    assert ended.code == 1
 
 
 def test_patterns_say_what_numbers_count(true: LightField, tmp_path: Path) -> None:

@@ -31,8 +31,8 @@ class SweepConfig(Section):
         256,
         3,
         4096,
-        "largest number of compared disparities; in a range that needs more, views near the reference are compared "
-        "first, at last in longer steps",
+        "largest number of disparities that sweeps compare; in a range that needs more, views near the reference are "
+        "compared first, at last in longer steps. Networks compare as many as they were trained with",
     )
     noise: float = number(
         0.0, 0.0, 1.0, "root mean square difference between views that show the same point, intensity; 0 measures it"

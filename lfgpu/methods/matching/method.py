@@ -9,7 +9,15 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.data.lightfield import LightField
 from lfgpu.methods.base import Method, Stage
 from lfgpu.methods.matching.config import MatchingConfig
-from lfgpu.methods.matching.disparities import are_in_windows, compared_disparities, compared_reach
+from lfgpu.methods.matching.disparities import (
+    NETWORK_MOST,
+    NETWORK_STEP,
+    are_in_windows,
+    compared_disparities,
+    compared_reach,
+    network_reach,
+    padded_disparities,
+)
 from lfgpu.methods.matching.guesses import GUESS_REACH
 from lfgpu.methods.matching.learned import NETWORK_REACH
 from lfgpu.methods.matching.noise import exposed, measured_grain, measured_noise, of_given_noise, smoothing_deviation
@@ -77,15 +85,22 @@ class Matching(Method[MatchingConfig]):
         return self.config.tuning.alignment.support / layout.farthest
 
     def doubt(self, layout: ViewLayout, bounds: tuple[float, float]) -> str | None:
-        config = self.config.sweep
-        reach = compared_reach(layout.offsets[self.used_views(layout.offsets)], bounds, config)
-        step = reach * compared_disparities(bounds, reach, config).step
-        if math.isclose(step, config.step):
-            return None
+        config, offsets = self.config.sweep, layout.offsets[self.used_views(layout.offsets)]
+        # A preset with two maps is limited if both are; then the sentence on its sweeps has more to advise.
+        for is_network in sorted({sweep.aggregation == "learned" for sweep in sweeps_of(self.config)}, reverse=True):
+            if is_network:
+                limit, reach, most = NETWORK_STEP, network_reach(offsets, bounds), NETWORK_MOST
+                compared, by, remedy = padded_disparities(bounds, reach), "network", ""
+            else:
+                limit, reach, most = config.step, compared_reach(offsets, bounds, config), config.max_labels
+                compared, by = compared_disparities(bounds, reach, config), "sweeps"
+                remedy = ", or a larger sweep.max_labels"
+            if math.isclose(reach * compared.step, limit):
+                return None
         return (
             f"The disparity range from {bounds[0]:.3g} to {bounds[1]:.3g} px per view step is so wide that the "
-            f"{config.max_labels} disparities that are compared lie {step:.2g} px apart in the farthest view of the "
-            f"sweeps, not {config.step:g}: surfaces may be missed; give a narrower range, or a larger sweep.max_labels."
+            f"{most} disparities that are compared lie {reach * compared.step:.2g} px apart in the farthest view of "
+            f"the {by}, not {limit:g}: surfaces may be missed; give a narrower range{remedy}."
         )
 
     def halo(self, layout: ViewLayout, measured: Measured) -> tuple[int, int]:

@@ -14,6 +14,9 @@ from lfgpu.pipelines.sources.feeding import feed
 from lfgpu.pipelines.sources.recording import recorded
 
 _CAMERAS = frozenset({"grid", "like"})
+_FILES = frozenset(
+    {"format", "allow_missing", "grid", "order", "every", "pattern", "axes", "unit", "transpose", "flip"}
+)
 SOURCES: tuple[Source, ...] = (
     # Those with a prefix come first; the last one takes what is left with a colon.
     Source(
@@ -22,6 +25,7 @@ SOURCES: tuple[Source, ...] = (
         recognise=folder.recognise_growing,
         open=folder.growing_frames,
         is_live=True,
+        takes=_FILES,
     ),
     Source(
         form="ring:FILE",
@@ -57,6 +61,7 @@ SOURCES: tuple[Source, ...] = (
         description="a folder that holds a light field folder for each frame",
         recognise=folder.recognise,
         open=folder.frames,
+        takes=_FILES,
     ),
     Source(
         form="SCENE",
@@ -91,8 +96,9 @@ def open_source(text: str, options: Options | None = None) -> Opened:
         what = "is a file, but no video" if Path(text).exists() else "does not exist"
         raise LightFieldError(f"{text} {what}; give one of {', '.join(source.form for source in SOURCES)}.")
     options = options or Options()
-    given = {*options.scene, *(name for name in _CAMERAS if getattr(options, name) is not None)}
-    if unread := sorted(given - source.takes):
+    given = {*options.scene, *options.reading, *(name for name in _CAMERAS if getattr(options, name) is not None)}
+    takes_none = options.rectifier is not None and source.takes == _FILES  # but raw pictures
+    if unread := sorted(given if takes_none else given - source.takes):
         raise LightFieldError(f"{text} takes no {' and no '.join(unread)}: it is {source.description}; leave that out.")
     frames = source.open(text, options)
     try:

@@ -21,6 +21,7 @@ class Options:
     grid: tuple[int, int] | None = None  # (rows, columns) of the cameras, and of the views of a synthetic scene
     like: LightField | None = None  # light field of the same cameras that gives positions, reference view and geometry
     scene: dict[str, Any] = field(default_factory=dict)  # options of `scenes.make`, such as `size` and `noise`
+    reading: dict[str, Any] = field(default_factory=dict)  # options of `lfgpu.read`, but grid, for sources of its files
     most: int | None = None  # largest number of frames that are used; None: no limit
     rectifier: Rectifier | None = None  # with it frames are raw pictures of its cameras
     say: Callable[[str], None] = lambda _: None  # takes sentences for the user, such as which frame was left out

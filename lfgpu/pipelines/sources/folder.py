@@ -12,9 +12,9 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.folders import natural_order, sub_folders
 from lfgpu.io.formats import kind
+from lfgpu.io.naming import names_times
 from lfgpu.io.numbered import frames_of, holds_cameras
 from lfgpu.io.several import ANY_IMAGES
-from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources.base import Frames, Options
 from lfgpu.pipelines.sources.recording import VIEWS_FILE
 
@@ -34,13 +34,14 @@ def recognise_growing(source: str) -> bool:
 def frames(source: str, options: Options) -> Frames:
     """Yield the light fields of a folder, or raw pictures for a rectifier, in the natural order of their names.
 
-    Of a folder of images of several times for each camera, the times.
+    Of a folder of images of several times for each camera, the times. A pattern with times is about their folder.
     """
-    path = Path(source)
-    if options.rectifier is None and kind(path) in ANY_IMAGES:
-        times = frames_of(path)
-        if times > 1 or holds_cameras(path):
-            yield from (read(path, frame=time) for time in range(times))
+    path, pattern = Path(source), options.reading.get("pattern")
+    of_times = names_times(pattern) if pattern is not None else kind(path) in ANY_IMAGES
+    if options.rectifier is None and of_times:
+        times = frames_of(path, pattern)
+        if times > 1 or pattern is not None or holds_cameras(path):
+            yield from (read(path, frame=time, **_reading(options)) for time in range(times))
             return
     folders = _ordered(path)
     if not folders:
@@ -50,7 +51,7 @@ def frames(source: str, options: Options) -> Frames:
         )
     first: LightField | None = None
     for folder in folders:
-        lf = _read(folder, options.rectifier)
+        lf = _read(folder, options)
         yield lf if first is None else _like(first, lf, folder)
         first = first or lf
 
@@ -63,7 +64,7 @@ def growing_frames(source: str, options: Options) -> Frames:
     first: LightField | None = None
     for folder in _whole(path):
         try:
-            lf = _read(folder, options.rectifier)
+            lf = _read(folder, options)
             frame = lf if first is None else _like(first, lf, folder)
         except LightFieldError as error:
             options.say(f"Left out: {error}")
@@ -100,11 +101,16 @@ def _ordered(path: Path) -> list[Path]:
     return sorted(sub_folders(path), key=lambda folder: natural_order(folder.name))
 
 
-def _read(folder: Path, rectifier: Rectifier | None) -> LightField:
+def _reading(options: Options) -> dict[str, Any]:
+    return options.reading if options.grid is None else {**options.reading, "grid": options.grid}
+
+
+def _read(folder: Path, options: Options) -> LightField:
     from lfgpu.io.views import load_pictures
 
+    rectifier = options.rectifier
     if rectifier is None or (folder / VIEWS_FILE).is_file():  # recorded frames say themselves which cameras are there
-        return read(folder)
+        return read(folder, **_reading(options))
     lf, count = load_pictures(folder), len(rectifier.places)
     if len(lf.views) != count:
         raise LightFieldError(
