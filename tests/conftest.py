@@ -1,5 +1,6 @@
 """Fixtures of all tests: backends and devices that are tried, the seed of random inputs, real light fields."""
 
+import gc
 import os
 import pickle
 import secrets
@@ -49,14 +50,22 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "thorough: left out by `make test`, run by `make test-all`")
+    config.addinivalue_line("markers", "special: thorough by all backends but the default")
     config.addinivalue_line("markers", "data(folder): needs the real light field in that folder of $LFGPU_DATA")
     given = config.getoption("--seed")
     # By way of the environment, so that all workers of pytest-xdist have the same one.
     os.environ[SEED] = str(given) if given is not None else os.environ.get(SEED) or str(secrets.randbits(32))
+    gc.disable()  # until all tests are collected: there is nothing to free
     _share_cores()
     wanted = config.getoption("--backend"), config.getoption("--device")
     config.stash[_TARGETS] = list(_find_targets(*wanted))
     _refuse_nothing(config.stash[_TARGETS], *wanted)
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and thousands of tests out of all collections of garbage, of which each pipeline needs one."""
+    gc.freeze()
+    gc.enable()
 
 
 _TARGETS = pytest.StashKey[list[Target]]()
@@ -129,7 +138,8 @@ def pytest_report_header(config: pytest.Config) -> list[str]:
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """`target`: each backend x device that can be tried; `other`: those but the reference; `named`: all.
 
-    Outside of tests/kernels, which hold each operation of each backend, all but the default backend are thorough.
+    Outside of tests/kernels, which hold each operation of each backend, all but the default backend are thorough; and
+    in the matrix there all but the first cases of each operation (`special`).
     Comes last, so that what one case needs is computed once for all of them, and in one worker of pytest-xdist.
     """
     targets = metafunc.config.stash[_TARGETS]
@@ -153,8 +163,11 @@ def _everyday(target: Any) -> Any:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """In a browser, only what everybody sees of the viewer is no thorough test."""
-    if "browser" in getattr(item, "fixturenames", ()) and item.path.name not in ("test_looking.py", "test_banner.py"):
+    """In a browser, all but what everybody sees of the viewer is thorough; `special` tests are by other backends."""
+    in_browser = "browser" in getattr(item, "fixturenames", ())
+    special = item.get_closest_marker("special") is not None
+    backend = item.callspec.params["other"].backend if special and "other" in item.fixturenames else DEFAULT  # type: ignore[attr-defined]
+    if backend != DEFAULT or (in_browser and item.path.name not in ("test_looking.py", "test_banner.py")):
         item.add_marker(pytest.mark.thorough)
 
 

@@ -86,10 +86,13 @@ OPERATIONS = tuple(operation for family in FAMILIES for operation in family.OPER
 UNORDERED = ("splat_z_buffered",)
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
+FIRST = 3
+"""Cases of an operation that every backend is tried with by `make test`; with the others only the default is."""
+
 CELLS = [
-    pytest.param(operation, case, id=f"{operation}-{case}")
+    pytest.param(operation, case, id=f"{operation}-{case}", marks=[pytest.mark.special] if place >= FIRST else [])
     for operation in OPERATIONS
-    for case in INPUTS[operation.inputs][0]
+    for place, case in enumerate(INPUTS[operation.inputs][0])
 ]
 
 
