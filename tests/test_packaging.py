@@ -360,6 +360,7 @@ def test_the_hash_follows_code_and_not_comments(tmp_path: Path) -> None:
 
     def now() -> str:
         sources.hash_of.cache_clear()
+        sources._content.cache_clear()
         return sources.hash_of("judge", tmp_path)
 
     def after(text: str, file: Path = code) -> str:
