@@ -58,8 +58,17 @@ def pytest_configure(config: pytest.Config) -> None:
     gc.disable()  # until all tests are collected: there is nothing to free
     _share_cores()
     wanted = config.getoption("--backend"), config.getoption("--device")
-    config.stash[_TARGETS] = list(_find_targets(*wanted))
+    # The process that starts the workers of pytest-xdist runs no test: it need not load what takes seconds.
+    starts_workers = getattr(config.option, "dist", "no") != "no" and not hasattr(config, "workerinput")
+    config.stash[_TARGETS] = [] if starts_workers and not any(wanted) else list(_find_targets(*wanted))
     _refuse_nothing(config.stash[_TARGETS], *wanted)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no module of which `make test` leaves out all tests: some need packages that take seconds to load."""
+    if config.option.markexpr != "not thorough" or collection_path.suffix != ".py":
+        return None
+    return True if "\npytestmark = pytest.mark.thorough\n" in collection_path.read_text(encoding="utf-8") else None
 
 
 def pytest_collection_finish() -> None:
@@ -124,14 +133,15 @@ def _started(target: Target) -> Target:
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
     targets = config.stash[_TARGETS]
-    backends, devices = (max(len(target[column]) for target in targets) for column in (0, 1))
+    backends, devices = (max((len(target[column]) for target in targets), default=0) for column in (0, 1))
     table = [
         f"  {target.backend:<{backends}}  {target.device:<{devices}}  "
         + (f"not tried: {target.reason}" if target.kernels is None else "tried")
         for target in targets
     ]
     data = f"{DATA}" if DATA.is_dir() else f"{DATA} is not there: tests on real light fields are skipped"
-    return ["kernels:", *table, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
+    heading = "kernels:" if table else "kernels: of all backends; what is not here is among the skipped tests"
+    return [heading, *table, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
 
 
 @pytest.hookimpl(trylast=True)
