@@ -50,7 +50,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "thorough: left out by `make test`, run by `make test-all`")
-    config.addinivalue_line("markers", "special: thorough by all backends but the default")
+    config.addinivalue_line("markers", "special: thorough by other backends than the default and the reference")
     config.addinivalue_line("markers", "data(folder): needs the real light field in that folder of $LFGPU_DATA")
     given = config.getoption("--seed")
     # By way of the environment, so that all workers of pytest-xdist have the same one.
@@ -175,9 +175,11 @@ def _everyday(target: Any) -> Any:
 def pytest_itemcollected(item: pytest.Item) -> None:
     """In a browser, all but what everybody sees of the viewer is thorough; `special` tests are by other backends."""
     in_browser = "browser" in getattr(item, "fixturenames", ())
-    special = item.get_closest_marker("special") is not None
-    backend = item.callspec.params["other"].backend if special and "other" in item.fixturenames else DEFAULT  # type: ignore[attr-defined]
-    if backend != DEFAULT or (in_browser and item.path.name not in ("test_looking.py", "test_banner.py")):
+    given = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+    target = given.get("other", given.get("target"))
+    by_another = target is not None and target.backend not in (DEFAULT, "reference")
+    special = by_another and item.get_closest_marker("special") is not None
+    if special or (in_browser and item.path.name not in ("test_looking.py", "test_banner.py")):
         item.add_marker(pytest.mark.thorough)
 
 
