@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from itertools import islice
 from statistics import fmean
 from typing import Annotated, Any
@@ -22,18 +21,6 @@ from lfgpu import DepthPipeline, DepthStream, LightField, StreamResult, Temporal
 _WARM_UP = 5  # frames
 _PACE = 0.8  # of the rate that it can do, at which latency is measured: a camera leaves room
 _SCORED = 3  # times through the film, whose last is scored
-
-
-@dataclass(frozen=True)
-class Plan:
-    """The measurements to make: cases and presets by name, cast frames, seconds of each run, budget and device."""
-
-    cases: tuple[str, ...]
-    presets: tuple[str, ...]
-    frames: int
-    seconds: float
-    budget_ms: float | None
-    device: str | None
 
 
 COLUMNS: Columns = {
@@ -61,8 +48,9 @@ def command(
     out: Out = None,
 ) -> None:
     """Measure frames a second, the latency from a frame on the host to its map there, and errors of warm maps."""
-    plan = Plan(tuple(listed(case_names)), tuple(listed(presets)), frames, seconds, budget, device)
-    found = collected(run(plan), out, benchmark="live")
+    options = {"device": device, "budget_ms": budget}
+    rows = run(listed(case_names), listed(presets), frames, seconds, options)
+    found = collected(rows, out, benchmark="live")
     Table.of("", 3, found, COLUMNS).show()
     how = "latency is the median, 95 and 99 % of frames that come at a pace."
     typer.echo(f"On {found[0]['device']}, from a uint8 frame on the host to its float32 map there; {how}")
@@ -80,44 +68,40 @@ def table(rows: Sequence[dict[str, Any]]) -> Table:
     return Table.of("", 2, rows, columns)
 
 
-def run(plan: Plan) -> Iterator[Row]:
-    """Measure all presets, cold and warm, on all cases.
+def run(
+    case_names: Sequence[str], presets: Sequence[str], count: int, seconds: float, options: dict[str, Any]
+) -> Iterator[Row]:
+    """Measure all presets, cold and warm, on `count` frames of all cases; `options` are further ones of `DepthStream`.
 
     `rate` is maps a second while frames are pushed as fast as they are taken ("block"); the latencies, milliseconds
     from `push` of a uint8 frame of the host to the float32 map there, are at `pace` frames a second. Errors are means
     over frames, `mse_ratio` and `bad_ratio` those of MSE and BadPix(0.07) to a cold `accurate` solve of the same.
     """
-    for case in plan.cases:
-        say(f"{case}: casting {plan.frames} frames")
+    for case in case_names:
+        say(f"{case}: casting {count} frames")
         size = cases.parse(case)
-        frames = Film(size.grid, size.size, plan.frames).frames()
-        cold = _errors(frames, _solved_cold(frames, plan.device))
-        for preset in plan.presets:
+        frames = Film(size.grid, size.size, count).frames()
+        cold = _errors(frames, _solved_cold(frames, options["device"]))
+        for preset in presets:
             for warm in (True, False):
                 say(f"{case} {preset} {'warm' if warm else 'cold'}")
-                yield _measured(case, preset, warm, frames, cold, plan)
+                prior = TemporalPrior() if warm else None
+                given = {**options, "config": preset, "disparity_range": RANGE, "prior": prior}
+                what = {"case": case, "preset": preset, "warm": warm}
+                yield what | _measured(frames, cold, seconds, given)
 
 
-def _measured(
-    case: str, preset: str, warm: bool, frames: list[LightField], cold: tuple[float, float], plan: Plan
-) -> Row:
-    options: dict[str, Any] = {
-        "config": preset,
-        "disparity_range": RANGE,
-        "device": plan.device,
-        "prior": TemporalPrior() if warm else None,
-        "budget_ms": plan.budget_ms,
-    }
+def _measured(frames: list[LightField], cold: tuple[float, float], seconds: float, options: dict[str, Any]) -> Row:
     views = [lf.views for lf in frames]
     with DepthStream(frames[0], policy="block", **options) as stream:
         scored = _errors(frames, _maps(stream, frames))
-        rate = _rate(stream, views, plan.seconds)
+        rate = _rate(stream, views, seconds)
     with DepthStream(frames[0], policy="latest", **options) as stream:
         pace = _PACE * rate
-        seen, dropped = _paced(stream, views, pace, plan.seconds)
+        seen, dropped = _paced(stream, views, pace, seconds)
     latencies, work = (np.array(times) * 1000 for times in zip(*seen, strict=True))
     return {
-        **{"case": case, "preset": preset, "warm": warm, "device": stream.device, "rate": rate, "pace": pace},
+        **{"device": stream.device, "rate": rate, "pace": pace},
         **{f"latency_p{share}": float(np.percentile(latencies, share)) for share in (50, 95, 99)},
         **{"work_p50": float(np.median(work)), "dropped": dropped, "mse_100": scored[0], "badpix_07": scored[1]},
         **{"mse_ratio": scored[0] / cold[0], "bad_ratio": scored[1] / cold[1]},

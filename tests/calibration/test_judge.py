@@ -1,5 +1,6 @@
 """The judge: which camera stands out and how, whether signs are right, and silence where all is well."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,7 +10,7 @@ from disturbed import displaced, explained, truth, with_view
 from scipy import ndimage
 
 import lfgpu
-from lfgpu import scenes
+from lfgpu import Explanation, scenes
 from lfgpu.calibration import residual_pictures
 from lfgpu.cameras import consensus
 from lfgpu.cameras.consensus import outliers, without_gauge
@@ -39,16 +40,21 @@ def test_nothing_stands_out_where_cameras_are_right() -> None:
     assert np.nanmedian(found.unexplained) < 0.02
 
 
+def said_of(boxes: LightField, index: int, change: Callable[[np.ndarray], np.ndarray]) -> tuple[Explanation, str]:
+    """What is found, and the one sentence, of the view that is changed."""
+    found = explained(with_view(boxes, index, change))
+    (sentence,) = found.findings
+    row, column = divmod(index, 5)
+    assert f"the view at row {row}, column {column} is" in sentence
+    return found, sentence
+
+
 @pytest.mark.parametrize(("index", "shift"), [(3, (0.2, 0.0)), (12, (0.0, -0.2)), (20, (-0.15, 0.15))])
 def test_a_view_that_is_moved_is_named_with_its_direction(
     boxes: LightField, index: int, shift: tuple[float, float]
 ) -> None:
     """The reference view (12) among them: then it is not all others that are said to be moved."""
-    moved = with_view(boxes, index, lambda image: displaced(image, *shift))
-    found = explained(moved)
-    (sentence,) = found.findings
-    row, column = divmod(index, 5)
-    assert f"the view at row {row}, column {column} is" in sentence
+    found, sentence = said_of(boxes, index, lambda image: displaced(image, *shift))
     assert ("to the right" in sentence) == (shift[0] > 0)
     assert ("above" in sentence) == (shift[1] < 0)
     assert np.abs(found.shift[index] - shift).max() < 0.05
@@ -59,11 +65,7 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
 @pytest.mark.parametrize(("index", "shift"), [(3, (2, 0)), (0, (-15, 9)), (20, (0, 45))])
 def test_a_view_that_is_far_off_is_found_where_it_is(boxes: LightField, index: int, shift: tuple[int, int]) -> None:
     """All its points are outliers there: steps from where it should be do not reach it. Half of the picture is far."""
-    moved = with_view(boxes, index, lambda image: np.roll(image, shift, axis=(1, 0)))
-    found = explained(moved)
-    (sentence,) = found.findings
-    row, column = divmod(index, 5)
-    assert f"the view at row {row}, column {column} is" in sentence
+    found, _ = said_of(boxes, index, lambda image: np.roll(image, shift, axis=(1, 0)))
     np.testing.assert_allclose(found.shift[index], shift, atol=0.05)
     assert np.abs(np.delete(found.shift, index, axis=0)).max() < 0.05
     assert found.misfit.max() < 0.1
