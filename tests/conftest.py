@@ -55,11 +55,12 @@ def pytest_configure(config: pytest.Config) -> None:
     given = config.getoption("--seed")
     # By way of the environment, so that all workers of pytest-xdist have the same one.
     os.environ[SEED] = str(given) if given is not None else os.environ.get(SEED) or str(secrets.randbits(32))
-    gc.disable()  # until all tests are collected: there is nothing to free
     _share_cores()
     wanted = config.getoption("--backend"), config.getoption("--device")
     # The process that starts the workers of pytest-xdist runs no test: it need not load what takes seconds.
     starts_workers = getattr(config.option, "dist", "no") != "no" and not hasattr(config, "workerinput")
+    if not starts_workers:
+        gc.disable()  # until all tests are collected: there is nothing to free
     config.stash[_TARGETS] = [] if starts_workers and not any(wanted) else list(_find_targets(*wanted))
     _refuse_nothing(config.stash[_TARGETS], *wanted)
 
