@@ -59,8 +59,9 @@ def assert_equal(one: DepthResult, other: DepthResult) -> None:
 
 @pytest.mark.parametrize(
     ("config", "given", "masked"),
-    [("fast", GIVEN, True), ("accurate", None, True), ("accurate", GIVEN, False), ("learned", None, False),
-     ("surest", None, True), ("paper", None, False), ("paper", GIVEN, True)],
+    [("fast", GIVEN, True), ("accurate", None, True), ("learned", None, False), ("surest", None, True),
+     ("paper", None, False), pytest.param("accurate", GIVEN, False, marks=pytest.mark.thorough),
+     pytest.param("paper", GIVEN, True, marks=pytest.mark.thorough)],
 )  # fmt: skip
 def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, given: Any, masked: bool) -> None:
     if not target.kernels.is_deterministic(target.device):
