@@ -14,7 +14,8 @@ test: .venv/develop
 	$(PYTEST) -m "not thorough"
 
 # What `make test` leaves out: faults that tests must notice, benchmarks, wheels, kernels of a GPU on a CPU, kills, load,
-# C++ compilers, whole estimates by other backends than the default, and most of what is looked at in a browser.
+# C++ compilers, whole estimates and special cases of kernels by other backends than the default, the scenes of trainings,
+# and most of what is looked at in a browser.
 test-all: test
 	$(PYTEST) -m thorough
 	$(BIN)/python -m tests.io.fuzz --examples 2000 --seed 1 --processes 2

@@ -14,8 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import median
 from typing import Annotated, Any
@@ -27,9 +26,9 @@ from PIL import Image
 from benchmarks import cases
 from benchmarks.cases import Case
 from benchmarks.errors import BenchmarkError
-from benchmarks.options import CaseName, Out, Preset, check_known, collected, listed, say
+from benchmarks.options import CaseName, Out, Preset, Row, check_known, collected, listed, say
 from benchmarks.scaling import devices_here, gpu_counts
-from benchmarks.tables import Table
+from benchmarks.tables import Columns, Table
 
 KINDS = ("npy", "png")
 """One array of all views, or a folder of pictures."""
@@ -37,36 +36,17 @@ KINDS = ("npy", "png")
 _WARM_UP = 3  # items of each worker
 
 
-@dataclass(frozen=True)
-class Row:
-    """Rate of so many GPUs together."""
-
-    case: str
-    preset: str
-    kind: str
-    gpus: int
-    workers: int
-    rate: float
-    """Items in a second."""
-    efficiency: float
-    """Rate over that on one GPU with as many workers for each, times their number."""
-    busy: float
-    """The share of the time in which a worker has an item."""
-    seconds: dict[str, float]
-    """Medians of the parts of an item."""
-
-
-COLUMNS: dict[str, Callable[[Any], str]] = {
-    "light field": lambda row: row.case,
-    "preset": lambda row: row.preset,
-    "items": lambda row: row.kind,
-    "GPUs": lambda row: str(row.gpus),
-    "workers": lambda row: str(row.workers),
-    "items / s": lambda row: f"{row.rate:.1f}",
-    "efficiency": lambda row: f"{100 * row.efficiency:.0f} %",
-    "busy": lambda row: f"{100 * row.busy:.0f} %",
+COLUMNS: Columns = {
+    "light field": "{case}",
+    "preset": "{preset}",
+    "items": "{kind}",
+    "GPUs": "{gpus}",
+    "workers": "{workers}",
+    "items / s": "{rate:.1f}",
+    "efficiency": lambda row: f"{100 * row['efficiency']:.0f} %",
+    "busy": lambda row: f"{100 * row['busy']:.0f} %",
     **{
-        f"{part}, ms": lambda row, part=part: f"{1e3 * row.seconds.get(part, 0.0):.0f}"  # type: ignore[misc]
+        f"{part}, ms": lambda row, part=part: f"{1e3 * row['seconds'].get(part, 0.0):.0f}"  # type: ignore[misc]
         for part in ("read", "estimate", "judge", "write")
     },
 }
@@ -105,7 +85,9 @@ def run(
 ) -> Iterator[Row]:
     """Measure each kind of item on each number of (GPUs, workers for each), row by row; `items` are for each worker.
 
-    `options` are those of `lfgpu batch`. BenchmarkError if a batch fails.
+    `options` are those of `lfgpu batch`. `rate` is items in a second, `efficiency` that over the rate on one GPU with
+    as many workers, times their number, `busy` the share of the time in which a worker has an item, `seconds` the
+    medians of the parts of an item. BenchmarkError if a batch fails.
     """
     with tempfile.TemporaryDirectory(prefix="lfgpu-benchmarks-") as name:
         folder = Path(name)
@@ -122,7 +104,8 @@ def run(
                 entries = _batch(one, folder / f"{kind}-{gpus}-{each}", gpus, items * workers, given)
                 rate, busy, seconds = _measured(entries)
                 share = rate / (gpus * alone.setdefault(each, rate / gpus))
-                yield Row(case.name, preset, kind, gpus, workers, rate, share, busy, seconds)
+                what = {"case": case.name, "preset": preset, "kind": kind, "gpus": gpus, "workers": workers}
+                yield {**what, "rate": rate, "efficiency": share, "busy": busy, "seconds": seconds}
 
 
 def _write(views: Any, case: Case, path: Path, kind: str) -> Path:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, replace
 from statistics import fmean, geometric_mean, median
 from typing import Annotated, Any
 
@@ -13,35 +13,12 @@ from numpy.typing import NDArray
 
 from benchmarks import cases
 from benchmarks.moving import RANGE, Film
-from benchmarks.options import CaseName, DeviceName, Out, Presets, check_known, collected, listed, say
+from benchmarks.options import CaseName, DeviceName, Out, Presets, Row, check_known, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu import DepthStream, TemporalPrior, evaluate
 from lfgpu.contract import Float32Array
 
 _SETTLED = 3  # frames after which a map rests on several
-
-
-@dataclass(frozen=True)
-class Row:
-    """One way of taking a film, means over its frames.
-
-    Errors are MSE x 100 and per cent, over the pixels that are known; `unknown` is the share of the others, per cent.
-    Flicker is in 1/1000 px per view step.
-    """
-
-    seed: int
-    preset: str
-    past: str
-    mse_100: float
-    badpix_07: float
-    badpix_03: float
-    badpix_01: float
-    unknown: float
-    flicker: float
-    flicker_median: float
-    flicker_still: float
-    flicker_moving: float
-    work_ms: float
 
 
 _TITLES = {
@@ -87,7 +64,10 @@ def command(
 
 
 def run(film: Film, presets: Sequence[str], pasts: Sequence[str], device: str | None) -> Iterator[Row]:
-    """Take the film in each way."""
+    """Take the film in each way; yields means over its frames, errors over the pixels that are known.
+
+    `unknown` is the share of the others, per cent. Flicker is in 1/1000 px per view step.
+    """
     say(f"seed {film.seed}: casting {film.count} frames")
     frames, motions = film.frames(), list(film.motions())
     for preset in presets:
@@ -100,37 +80,27 @@ def run(film: Film, presets: Sequence[str], pasts: Sequence[str], device: str | 
                 maps = [stream.push(lf.views).numpy() for lf in frames]
                 work = stream.stats()["work_p50_ms"]
             metrics = [evaluate(one, lf.truth.disparity) for one, lf in zip(maps, frames, strict=True) if lf.truth]
-            yield _row(film.seed, preset, past, maps, metrics[_SETTLED:], motions, work)
+            found = {**_errors(maps, metrics[_SETTLED:]), **_flicker(maps, motions), "work_ms": work}
+            yield {"seed": film.seed, "preset": preset, "past": past, **found}
 
 
-def _row(
-    seed: int,
-    preset: str,
-    past: str,
-    maps: list[Float32Array],
-    metrics: list[Any],
-    motions: list[Any],
-    work: float,
-) -> Row:
+def _errors(maps: list[Float32Array], metrics: list[Any]) -> Row:
+    names = ("mse_100", "badpix_07", "badpix_03", "badpix_01")
+    errors: Row = {name: fmean(getattr(one, name) for one in metrics) for name in names}
+    return {**errors, "unknown": 100 * fmean(float(np.isnan(one).mean()) for one in maps[_SETTLED:])}
+
+
+def _flicker(maps: list[Float32Array], motions: list[Any]) -> Row:
     changes = [m.flicker(*maps[i : i + 2]) * 1000 for i, m in enumerate(motions)][_SETTLED:]
     known = [~np.isnan(change) for change in changes]
     still = [m.still()[k] for m, k in zip(motions[_SETTLED:], known, strict=True)]
     changes = [change[k] for change, k in zip(changes, known, strict=True)]
-    return Row(
-        seed,
-        preset,
-        past,
-        fmean(m.mse_100 for m in metrics),
-        fmean(m.badpix_07 for m in metrics),
-        fmean(m.badpix_03 for m in metrics),
-        fmean(m.badpix_01 for m in metrics),
-        100 * fmean(float(np.isnan(one).mean()) for one in maps[_SETTLED:]),
-        _mean(changes),
-        median(float(np.median(c)) for c in changes),
-        _mean([c[s] for c, s in zip(changes, still, strict=True)]),
-        _mean([c[~s] for c, s in zip(changes, still, strict=True)]),
-        work,
-    )
+    return {
+        "flicker": _mean(changes),
+        "flicker_median": median(float(np.median(c)) for c in changes),
+        "flicker_still": _mean([c[s] for c, s in zip(changes, still, strict=True)]),
+        "flicker_moving": _mean([c[~s] for c, s in zip(changes, still, strict=True)]),
+    }
 
 
 def _mean(frames: list[NDArray[np.float64]]) -> float:
@@ -141,13 +111,8 @@ def _mean(frames: list[NDArray[np.float64]]) -> float:
 
 def show(rows: list[Row]) -> None:
     """Print a table; all numbers are the lower the better. Over several films, ratios say what the past changes."""
-    words: dict[str, Callable[[Any], str]] = {
-        "seed": lambda row: str(row.seed),
-        "preset": lambda row: row.preset,
-        "past": lambda row: row.past,
-    }
-    numbers = {title: lambda row, name=name: f"{getattr(row, name):.2f}" for name, title in _TITLES.items()}
-    Table.of("", 3, rows, {**words, **numbers}).show()
+    words = {name: f"{{{name}}}" for name in ("seed", "preset", "past")}
+    Table.of("", 3, rows, {**words, **{title: f"{{{name}:.2f}}" for name, title in _TITLES.items()}}).show()
     typer.echo(
         "Flicker: mean |change of the map along the true motion, less the true change|, 1/1000 px per view step, where "
         "a surface is seen before and after; its median; its mean where nothing moves, and on what moves."
@@ -159,11 +124,9 @@ def show(rows: list[Row]) -> None:
 
 def against_none(rows: list[Row]) -> Iterator[tuple[str, str, dict[str, tuple[float, float]]]]:
     """Yield (preset, past, ratios): geometric mean and largest ratio over the films to the same film without a past."""
-    none = {(row.seed, row.preset): row for row in rows if row.past == "none"}
-    for preset, past in dict.fromkeys((row.preset, row.past) for row in rows if row.past != "none"):
-        some = [row for row in rows if (row.preset, row.past) == (preset, past) and (row.seed, preset) in none]
-        if some:
-            ratios = {
-                name: [getattr(row, name) / getattr(none[row.seed, preset], name) for row in some] for name in _COMPARED
-            }
+    none = {(row["seed"], row["preset"]): row for row in rows if row["past"] == "none"}
+    for preset, past in dict.fromkeys((row["preset"], row["past"]) for row in rows if row["past"] != "none"):
+        these = [row for row in rows if (row["preset"], row["past"]) == (preset, past)]
+        if some := [row for row in these if (row["seed"], preset) in none]:
+            ratios = {name: [row[name] / none[row["seed"], preset][name] for row in some] for name in _COMPARED}
             yield preset, past, {name: (geometric_mean(found), max(found)) for name, found in ratios.items()}

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from benchmarks.options import check_out
 from lfgpu.data import DepthResult, LightField
@@ -64,7 +65,7 @@ def render(cloud: Cloud, size: tuple[int, int]) -> NDArray[np.uint8]:
     """Render a cloud from the side, [y, x, 3]: nearer points hide farther ones, the background is white."""
     height, width = (side * _FINER for side in size)
     centre = cloud.centre
-    turned = (cloud.points - centre) @ (_about_y(_YAW) @ _about_x(_PITCH))
+    turned = (cloud.points - centre) @ Rotation.from_euler("YX", (_YAW, _PITCH)).as_matrix()
     z = turned[:, 2] + centre[2]
     scale = _ZOOM * min(
         width / np.ptp(turned[:, 0] * centre[2] / z), height / np.ptp(turned[:, 1] * centre[2] / z)
@@ -146,13 +147,3 @@ def _scores(lf: LightField, result: DepthResult) -> str:
     assert truth is not None  # the scenes bring it along
     m = evaluate(result.disparity, truth.disparity, mask=truth.mask)
     return f"{m.badpix_07:.2f} % bad, MSE x100 {m.mse_100:.2f}"
-
-
-def _about_y(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
-
-
-def _about_x(angle: float) -> NDArray[np.float64]:
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])

@@ -17,9 +17,9 @@ from scipy import ndimage
 from benchmarks import machine
 from benchmarks.errors import BenchmarkError
 from benchmarks.misalignment import recording
-from benchmarks.options import DeviceName, Out, Preset, Scenes, check_out, save, say
+from benchmarks.options import DeviceName, Out, Preset, Row, Scenes, check_out, save, say
 from benchmarks.tables import Table
-from lfgpu import LightField, estimate_depth, explain, read
+from lfgpu import DepthResult, LightField, estimate_depth, explain, read
 from lfgpu.pipelines.verdict import judged
 
 _TURN = 22.5  # degrees by which the direction that is found may differ: half the way between two of eight directions
@@ -44,44 +44,6 @@ class Plan:
     device: str | None
 
 
-@dataclass(frozen=True)
-class Draw:
-    """One moved view, and the findings before and after.
-
-    `corner` is the first row and column of the part of the views; `moved` and `found` are (x, y) in pixels, right and
-    down. `quick` says the same of the quick look that `lfgpu depth` takes.
-    """
-
-    scene: str
-    seed: int
-    views: int
-    corner: tuple[int, int]
-    view: tuple[int, int]
-    """(row, column)"""
-    moved: tuple[float, float]
-    found: tuple[float, float]
-    findings: tuple[str, ...]
-    is_found: bool
-    quick: tuple[str, ...]
-    is_found_quickly: bool
-    false_alarms: tuple[str, ...]
-    """Findings of the quick look at the same part of the undisturbed views."""
-
-
-@dataclass(frozen=True)
-class Silence:
-    """A part of a light field in which nothing was moved, with noise of that standard deviation added, and what was
-    said of it all the same."""
-
-    scene: str
-    seed: int
-    views: int
-    corner: tuple[int, int]
-    noise: float
-    findings: tuple[str, ...]
-    quick: tuple[str, ...]
-
-
 def command(
     scene_names: Scenes,
     draws: Annotated[int, typer.Option(min=1, help="Draws over all scenes.")] = 100,
@@ -101,13 +63,13 @@ def command(
     check_out(out)
     plan = Plan(tuple(scene_names), draws, first, tuple(undisturbed or ()), noises, shift, crop, preset, device)
     about = {**machine.about("judge"), "plan": named(plan)}
-    found: list[Draw] = []
-    silences: list[Silence] = []
-    for one in chain[Draw | Silence](_silences(plan), _draws(plan)):
-        (found if isinstance(one, Draw) else silences).append(one)  # type: ignore[arg-type]
-        rows = {"draws": [asdict(one) for one in found], "undisturbed": [asdict(one) for one in silences]}
-        save(out, {**about, "summary": {**(summary(found) if found else {}), **alarms(silences)}, **rows})
-    table([asdict(draw) for draw in found]).show()
+    found: list[Row] = []
+    silences: list[Row] = []
+    for one in chain(_silences(plan), _draws(plan)):
+        (found if "moved" in one else silences).append(one)
+        counts = {**(summary(found) if found else {}), **alarms(silences)}
+        save(out, {**about, "summary": counts, "draws": found, "undisturbed": silences})
+    table(found).show()
     if silences:
         said = alarms(silences)
         typer.echo(
@@ -116,8 +78,11 @@ def command(
         )
 
 
-def _silences(plan: Plan) -> Iterator[Silence]:
-    """Look at light fields in which nothing was moved, as they are and with noise."""
+def _silences(plan: Plan) -> Iterator[Row]:
+    """Look at a part of each light field in which nothing was moved, as it is and with noise.
+
+    `noise` is the standard deviation that was added, `findings` and `quick` what was said all the same.
+    """
     for scene in plan.undisturbed:
         lf = light_field(scene)
         for seed in range(plan.first, plan.first + plan.noises + 1):
@@ -130,7 +95,7 @@ def light_field(scene: str) -> LightField:
     return read(Path(scene), allow_missing=True) if Path(scene).exists() else recording(scene)(None)
 
 
-def _left_alone(scene: str, lf: LightField, seed: int, plan: Plan) -> Silence:
+def _left_alone(scene: str, lf: LightField, seed: int, plan: Plan) -> Row:
     random = np.random.default_rng(seed)
     sides = [min(side, plan.crop) for side in lf.size]
     top, left = (int(random.integers(0, whole - side + 1)) for whole, side in zip(lf.size, sides, strict=True))
@@ -141,15 +106,25 @@ def _left_alone(scene: str, lf: LightField, seed: int, plan: Plan) -> Silence:
         images += random.normal(0, noise, images.shape).astype(np.float32)
         views = np.rint(255 * np.clip(images, 0, 1)).astype(np.uint8)  # as cameras record it
         part = replace(part, views=views, files=())
-    result = estimate_depth(part, config=plan.preset, device=plan.device, check_cameras=False)  # type: ignore[arg-type]
+    result, quick = _quickly(part, plan)
     findings = explain(part, result, device=plan.device).findings
-    return Silence(
-        scene, seed, len(lf.views), (top, left), noise, findings, judged(part, result, device=plan.device).remarks
-    )
+    what = {"scene": scene, "seed": seed, "views": len(lf.views), "corner": (top, left), "noise": noise}
+    return {**what, "findings": findings, "quick": quick}
 
 
-def _draws(plan: Plan) -> Iterator[Draw]:
-    """Draw a part of the views, one of them and a direction, and see whether it is found; one after the other."""
+def _quickly(lf: LightField, plan: Plan) -> tuple[DepthResult, tuple[str, ...]]:
+    """Estimate a map; return it, and what the quick look that `lfgpu depth` takes says of the cameras."""
+    result = estimate_depth(lf, config=plan.preset, device=plan.device, check_cameras=False)  # type: ignore[arg-type]
+    return result, judged(lf, result, device=plan.device).remarks
+
+
+def _draws(plan: Plan) -> Iterator[Row]:
+    """Draw a part of the views, one of them and a direction, and see whether it is found; one after the other.
+
+    `corner` is the first row and column of the part of the views, `view` the (row, column) of the one that is moved;
+    `moved` and `found` are (x, y) in pixels, right and down. `quick` says the same of the quick look that `lfgpu depth`
+    takes, `false_alarms` what it says of the same part of the undisturbed views.
+    """
     scenes = [recording(scene)(None) for scene in plan.scenes]
     for seed in range(plan.first, plan.first + plan.draws):
         place = seed % len(scenes)
@@ -157,7 +132,7 @@ def _draws(plan: Plan) -> Iterator[Draw]:
         yield _drawn(Path(plan.scenes[place]).name, scenes[place], seed, plan)
 
 
-def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
+def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Row:
     random = np.random.default_rng(seed)
     height, width = lf.size
     if min(height, width) < plan.crop:
@@ -170,26 +145,18 @@ def _drawn(scene: str, lf: LightField, seed: int, plan: Plan) -> Draw:
     window = slice(top, top + plan.crop), slice(left, left + plan.crop)
     right, wrong = lf.crop(*window), replace(lf, views=views, files=()).crop(*window)
     column, row = (int(k) for k in lf.positions[index])
-    result = estimate_depth(wrong, config=plan.preset, device=plan.device, check_cameras=False)  # type: ignore[arg-type]
+    result, quick = _quickly(wrong, plan)
     explanation = explain(wrong, result, device=plan.device)
-    quick = judged(wrong, result, device=plan.device).remarks
-    undisturbed = estimate_depth(right, config=plan.preset, device=plan.device, check_cameras=False)  # type: ignore[arg-type]
     found = explanation.shift[index]
     turn = np.angle(complex(*found) / complex(*moved), deg=True)
-    return Draw(
-        scene,
-        seed,
-        len(lf.views),
-        (top, left),
-        (row, column),
-        (float(moved[0]), float(moved[1])),
-        (float(found[0]), float(found[1])),
-        explanation.findings,
-        names(explanation.findings, (row, column)) and bool(abs(turn) <= _TURN),
-        quick,
-        names(quick, (row, column)),
-        judged(right, undisturbed, device=plan.device).remarks,
-    )
+    return {
+        **{"scene": scene, "seed": seed, "views": len(lf.views), "corner": (top, left), "view": (row, column)},
+        **{"moved": tuple(map(float, moved)), "found": tuple(map(float, found)), "findings": explanation.findings},
+        "is_found": names(explanation.findings, (row, column)) and bool(abs(turn) <= _TURN),
+        "quick": quick,
+        "is_found_quickly": names(quick, (row, column)),
+        "false_alarms": _quickly(right, plan)[1],
+    }
 
 
 def shifted(lf: LightField, index: int, by: np.ndarray) -> np.ndarray:
@@ -215,27 +182,22 @@ def named(plan: Plan) -> dict[str, Any]:
     return asdict(replace(plan, scenes=scenes, undisturbed=still))
 
 
-def alarms(silences: list[Silence]) -> dict[str, int]:
+def alarms(silences: list[Row]) -> dict[str, int]:
     """Count how often something was said where nothing was moved."""
     return {
         "undisturbed": len(silences),
-        "with_noise": sum(s.noise > 0 for s in silences),
-        "alarms": sum(bool(s.findings) for s in silences),
-        "alarms_quickly": sum(bool(s.quick) for s in silences),
+        "with_noise": sum(s["noise"] > 0 for s in silences),
+        "alarms": sum(bool(s["findings"]) for s in silences),
+        "alarms_quickly": sum(bool(s["quick"]) for s in silences),
     }
 
 
-def summary(draws: Sequence[Draw]) -> dict[str, int | float]:
+def summary(draws: Sequence[Row]) -> dict[str, int | float]:
     """Count, and measure the largest distance of a shift found from the true one, pixels."""
-    off = [float(np.hypot(d.found[0] - d.moved[0], d.found[1] - d.moved[1])) for d in draws]
-    return {
-        "draws": len(draws),
-        "found": sum(d.is_found for d in draws),
-        "found_quickly": sum(d.is_found_quickly for d in draws),
-        "false_alarms": sum(bool(d.false_alarms) for d in draws),
-        "farthest_px": max(off),
-        "median_px": float(np.median(off)),
-    }
+    off = [math.dist(d["found"], d["moved"]) for d in draws]
+    counted = {"found": "is_found", "found_quickly": "is_found_quickly", "false_alarms": "false_alarms"}
+    counts = {name: sum(bool(d[key]) for d in draws) for name, key in counted.items()}
+    return {"draws": len(draws), **counts, "farthest_px": max(off), "median_px": float(np.median(off))}
 
 
 def table(draws: Sequence[Mapping[str, Any]]) -> Table:

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from itertools import islice
 from statistics import fmean
 from typing import Annotated, Any
@@ -13,10 +12,10 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from benchmarks import cases
+from benchmarks import cases, stages
 from benchmarks.moving import RANGE, Film, to_and_fro
-from benchmarks.options import Cases, DeviceName, Out, Presets, collected, listed, say
-from benchmarks.tables import Table
+from benchmarks.options import Cases, DeviceName, Out, Presets, Row, collected, listed, say
+from benchmarks.tables import Columns, Table
 from lfgpu import DepthPipeline, DepthStream, LightField, StreamResult, TemporalPrior, evaluate
 
 _WARM_UP = 5  # frames
@@ -24,56 +23,18 @@ _PACE = 0.8  # of the rate that it can do, at which latency is measured: a camer
 _SCORED = 3  # times through the film, whose last is scored
 
 
-@dataclass(frozen=True)
-class Plan:
-    """The measurements to make: cases and presets by name, cast frames, seconds of each run, budget and device."""
-
-    cases: tuple[str, ...]
-    presets: tuple[str, ...]
-    frames: int
-    seconds: float
-    budget_ms: float | None
-    device: str | None
-
-
-@dataclass(frozen=True)
-class Row:
-    """One preset on one case, warm or cold.
-
-    `rate` is maps a second while frames are pushed as fast as they are taken ("block"); the latencies, milliseconds
-    from `push` of a uint8 frame of the host to the float32 map there, are at `pace` frames a second. Errors are means
-    over frames, `mse_ratio` and `bad_ratio` those of MSE and BadPix(0.07) to a cold `accurate` solve of the same.
-    """
-
-    case: str
-    preset: str
-    warm: bool
-    device: str
-    rate: float
-    pace: float
-    latency_p50: float
-    latency_p95: float
-    latency_p99: float
-    work_p50: float
-    dropped: int
-    mse_100: float
-    badpix_07: float
-    mse_ratio: float
-    bad_ratio: float
-
-
-COLUMNS: dict[str, Callable[[Any], str]] = {
-    "case": lambda row: row.case,
-    "preset": lambda row: row.preset,
-    "start": lambda row: "warm" if row.warm else "cold",
-    "maps/s": lambda row: f"{row.rate:.1f}",
-    "paced at": lambda row: f"{row.pace:.1f}",
-    "latency, ms": lambda row: " / ".join(f"{ms:.2f}" for ms in (row.latency_p50, row.latency_p95, row.latency_p99)),
-    "device, ms": lambda row: f"{row.work_p50:.2f}",
-    "dropped": lambda row: str(row.dropped),
-    "MSE x100": lambda row: f"{row.mse_100:.3f}",
-    "BadPix 0.07": lambda row: f"{row.badpix_07:.2f}",
-    "both to cold accurate": lambda row: f"{row.mse_ratio:.3f} / {row.bad_ratio:.3f}",
+COLUMNS: Columns = {
+    "case": "{case}",
+    "preset": "{preset}",
+    "start": lambda row: "warm" if row["warm"] else "cold",
+    "maps/s": "{rate:.1f}",
+    "paced at": "{pace:.1f}",
+    "latency, ms": "{latency_p50:.2f} / {latency_p95:.2f} / {latency_p99:.2f}",
+    "device, ms": "{work_p50:.2f}",
+    "dropped": "{dropped}",
+    "MSE x100": "{mse_100:.3f}",
+    "BadPix 0.07": "{badpix_07:.2f}",
+    "both to cold accurate": "{mse_ratio:.3f} / {bad_ratio:.3f}",
 }
 
 
@@ -87,75 +48,64 @@ def command(
     out: Out = None,
 ) -> None:
     """Measure frames a second, the latency from a frame on the host to its map there, and errors of warm maps."""
-    plan = Plan(tuple(listed(case_names)), tuple(listed(presets)), frames, seconds, budget, device)
-    found = collected(run(plan), out, benchmark="live")
+    options = {"device": device, "budget_ms": budget}
+    rows = run(listed(case_names), listed(presets), frames, seconds, options)
+    found = collected(rows, out, benchmark="live")
     Table.of("", 3, found, COLUMNS).show()
-    typer.echo(
-        f"On {found[0].device}, from a uint8 frame on the host to its float32 map there; latency is the median, 95 and "
-        "99 % of frames that come at a pace."
-    )
+    how = "latency is the median, 95 and 99 % of frames that come at a pace."
+    typer.echo(f"On {found[0]['device']}, from a uint8 frame on the host to its float32 map there; {how}")
 
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
     """Make the table of a page from the rows of a file: rate, latency and errors, warm and cold."""
-    columns = {
+    columns: Columns = {
         "preset": lambda r: f"`{r['preset']}`, {'warm' if r['warm'] else 'cold'}",
         "size": lambda r: r["case"].replace("x", " × "),
-        "maps / s": lambda r: f"{r['rate']:.0f}",
-        "latency, ms: median, 95 %, 99 %": lambda r: ", ".join(f"{r[f'latency_p{q}']:.1f}" for q in (50, 95, 99)),
-        "MSE, BadPix(0.07) to a cold `accurate`": lambda r: f"{r['mse_ratio']:.2f}, {r['bad_ratio']:.2f}",
+        "maps / s": "{rate:.0f}",
+        "latency, ms: median, 95 %, 99 %": "{latency_p50:.1f}, {latency_p95:.1f}, {latency_p99:.1f}",
+        "MSE, BadPix(0.07) to a cold `accurate`": "{mse_ratio:.2f}, {bad_ratio:.2f}",
     }
     return Table.of("", 2, rows, columns)
 
 
-def run(plan: Plan) -> Iterator[Row]:
-    """Measure all presets, cold and warm, on all cases."""
-    for case in plan.cases:
-        say(f"{case}: casting {plan.frames} frames")
+def run(
+    case_names: Sequence[str], presets: Sequence[str], count: int, seconds: float, options: dict[str, Any]
+) -> Iterator[Row]:
+    """Measure all presets, cold and warm, on `count` frames of all cases; `options` are further ones of `DepthStream`.
+
+    `rate` is maps a second while frames are pushed as fast as they are taken ("block"); the latencies, milliseconds
+    from `push` of a uint8 frame of the host to the float32 map there, are at `pace` frames a second. Errors are means
+    over frames, `mse_ratio` and `bad_ratio` those of MSE and BadPix(0.07) to a cold `accurate` solve of the same.
+    """
+    for case in case_names:
+        say(f"{case}: casting {count} frames")
         size = cases.parse(case)
-        frames = Film(size.grid, size.size, plan.frames).frames()
-        cold = _errors(frames, _solved_cold(frames, plan.device))
-        for preset in plan.presets:
+        frames = Film(size.grid, size.size, count).frames()
+        cold = _errors(frames, _solved_cold(frames, options["device"]))
+        for preset in presets:
             for warm in (True, False):
                 say(f"{case} {preset} {'warm' if warm else 'cold'}")
-                yield _measured(case, preset, warm, frames, cold, plan)
+                prior = TemporalPrior() if warm else None
+                given = {**options, "config": preset, "disparity_range": RANGE, "prior": prior}
+                what = {"case": case, "preset": preset, "warm": warm}
+                yield what | _measured(frames, cold, seconds, given)
 
 
-def _measured(
-    case: str, preset: str, warm: bool, frames: list[LightField], cold: tuple[float, float], plan: Plan
-) -> Row:
-    options: dict[str, Any] = {
-        "config": preset,
-        "disparity_range": RANGE,
-        "device": plan.device,
-        "prior": TemporalPrior() if warm else None,
-        "budget_ms": plan.budget_ms,
-    }
+def _measured(frames: list[LightField], cold: tuple[float, float], seconds: float, options: dict[str, Any]) -> Row:
     views = [lf.views for lf in frames]
     with DepthStream(frames[0], policy="block", **options) as stream:
         scored = _errors(frames, _maps(stream, frames))
-        rate = _rate(stream, views, plan.seconds)
+        rate = _rate(stream, views, seconds)
     with DepthStream(frames[0], policy="latest", **options) as stream:
         pace = _PACE * rate
-        seen, dropped = _paced(stream, views, pace, plan.seconds)
+        seen, dropped = _paced(stream, views, pace, seconds)
     latencies, work = (np.array(times) * 1000 for times in zip(*seen, strict=True))
-    p50, p95, p99 = (float(value) for value in np.percentile(latencies, (50, 95, 99)))
-    return Row(
-        case,
-        preset,
-        warm,
-        stream.device,
-        rate,
-        pace,
-        p50,
-        p95,
-        p99,
-        float(np.median(work)),
-        dropped,
-        *scored,
-        scored[0] / cold[0],
-        scored[1] / cold[1],
-    )
+    return {
+        **{"device": stream.device, "rate": rate, "pace": pace},
+        **{f"latency_p{share}": float(np.percentile(latencies, share)) for share in (50, 95, 99)},
+        **{"work_p50": float(np.median(work)), "dropped": dropped, "mse_100": scored[0], "badpix_07": scored[1]},
+        **{"mse_ratio": scored[0] / cold[0], "bad_ratio": scored[1] / cold[1]},
+    }
 
 
 def _maps(stream: DepthStream, frames: list[LightField]) -> list[Any]:
@@ -169,12 +119,7 @@ def _maps(stream: DepthStream, frames: list[LightField]) -> list[Any]:
 
 def _solved_cold(frames: list[LightField], device: str | None) -> list[Any]:
     pipeline = DepthPipeline(frames[0], config="accurate", disparity_range=RANGE, device=device)
-    maps = []
-    for lf in frames:
-        pipeline.upload(lf.views)
-        pipeline.run()
-        maps.append(pipeline.disparity())
-    return maps
+    return [stages.frame(pipeline, lf.views) for lf in frames]
 
 
 def _errors(frames: Sequence[LightField], maps: Sequence[Any]) -> tuple[float, float]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
@@ -12,8 +11,8 @@ import numpy as np
 
 from benchmarks import cases, clock
 from benchmarks.cases import Case
-from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Seconds, collected, listed, places, say
-from benchmarks.tables import Table
+from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Row, Seconds, collected, listed, places, say
+from benchmarks.tables import Columns, Table
 from lfgpu import LightField, scenes
 from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import method_of
@@ -23,36 +22,15 @@ _WAITS = ("numpy", "number", "read")
 """Operations for which the host waits."""
 
 
-@dataclass(frozen=True)
-class Row:
-    """One case on one backend and device; times are medians in milliseconds, from host to host.
-
-    `range_ms` finds the range of views that lie on the host, `resident_ms` of views that are on the device already,
-    `noise_ms` measures the noise within the range that was found. `first_ms` is the first call of a process, kernels
-    loaded or compiled included. `waits` counts how often the host waits for the device while it finds the range.
-    """
-
-    case: str
-    backend: str
-    device: str
-    range_ms: float
-    resident_ms: float
-    noise_ms: float
-    first_ms: float
-    waits: int
-    found: tuple[float, float]
-    true: tuple[float, float]
-
-
-COLUMNS: dict[str, Callable[[Any], str]] = {
-    "case": lambda row: row.case,
-    "backend": lambda row: f"{row.backend} {row.device}",
-    "range, ms": lambda row: f"{row.range_ms:.1f}",
-    "resident, ms": lambda row: f"{row.resident_ms:.1f}",
-    "noise, ms": lambda row: f"{row.noise_ms:.1f}",
-    "first, ms": lambda row: f"{row.first_ms:.1f}",
-    "waits": lambda row: str(row.waits),
-    "found / true span": lambda row: f"{float(np.ptp(row.found) / np.ptp(row.true)):.2f}",
+COLUMNS: Columns = {
+    "case": "{case}",
+    "backend": "{backend} {device}",
+    "range, ms": "{range_ms:.1f}",
+    "resident, ms": "{resident_ms:.1f}",
+    "noise, ms": "{noise_ms:.1f}",
+    "first, ms": "{first_ms:.1f}",
+    "waits": "{waits}",
+    "found / true span": lambda row: f"{float(np.ptp(row['found']) / np.ptp(row['true'])):.2f}",
 }
 
 
@@ -83,7 +61,13 @@ def command(
 def run(
     chosen: Sequence[Case], preset: str, backends: Sequence[str], device: str | None, seconds: float
 ) -> Iterator[Row]:
-    """Measure all cases on all backends that have the device, each time for so many seconds at most."""
+    """Measure all cases on all backends that have the device, each time for so many seconds at most.
+
+    Times of a row are medians in milliseconds, from host to host. `range_ms` finds the range of views that lie on the
+    host, `resident_ms` of views that are on the device already, `noise_ms` measures the noise within the range that was
+    found. `first_ms` is the first call of a process, kernels loaded or compiled included. `waits` counts how often the
+    host waits for the device while it finds the range.
+    """
     for case in chosen:
         say(f"{case.name}: casting a scene")
         lf = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
@@ -105,15 +89,15 @@ def _measured(case: Case, lf: LightField, preset: str, device: Device, seconds: 
         work()
         return 1000 * median(clock.singly(work, least=3, most=50, budget=seconds))
 
-    return Row(
-        case.name,
-        device.kernels.name,
-        device.name,
-        timed(lambda: find_disparity_range(lf, device)),
-        timed(lambda: find_disparity_range(lf, device, views=views)),
-        timed(lambda: method.measured(lf, found, device)),
-        1000 * first,
-        counting.waits,
-        found,
-        (float(lf.truth.disparity.min()), float(lf.truth.disparity.max())),
-    )
+    return {
+        "case": case.name,
+        "backend": device.kernels.name,
+        "device": device.name,
+        "range_ms": timed(lambda: find_disparity_range(lf, device)),
+        "resident_ms": timed(lambda: find_disparity_range(lf, device, views=views)),
+        "noise_ms": timed(lambda: method.measured(lf, found, device)),
+        "first_ms": 1000 * first,
+        "waits": counting.waits,
+        "found": found,
+        "true": (float(lf.truth.disparity.min()), float(lf.truth.disparity.max())),
+    }

@@ -6,7 +6,7 @@ import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 import typer
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from benchmarks import scoring
 from benchmarks.errors import BenchmarkError
-from benchmarks.options import DeviceName, Out, Preset, Scenes, check_out, collected, listed, say
-from benchmarks.tables import NONE, Table
+from benchmarks.options import DeviceName, Out, Preset, Row, Scenes, check_out, collected, listed, say
+from benchmarks.tables import NONE, Columns, Table
 from lfgpu import DepthResult, LightField, estimate_depth, evaluate, read, scenes
 from lfgpu.calibration import Camera, Misalignment, disturb, refine
 from lfgpu.calibration.misalign import displacements
@@ -33,55 +33,17 @@ DISTURBANCES = ("shift=1", "gain=0.1", "roll=0.1", "scale=0.002", "shift=1,gain=
 _IRREGULAR = 12
 
 
-@dataclass(frozen=True)
-class Scores:
-    """Scores of a map: MSE x 100 and BadPix in percent.
-
-    `level_03` is BadPix(0.03) less the median error: a shift of all views in proportion to their offsets is another
-    plane of disparity 0, which no view tells.
-    """
-
-    mse_100: float
-    badpix_07: float
-    badpix_03: float
-    badpix_01: float
-    level_03: float
-
-
-@dataclass(frozen=True)
-class Row:
-    """One disturbance of one array: scores with the cameras as they should be, as they are, and lined up.
-
-    `off_px` and `left_px` are the shifts of the views, rms along each axis, before and after, against what the cameras
-    are, without what views cannot tell; None where cameras stand beside their places.
-    """
-
-    scene: str
-    array: str
-    views: int
-    crop: int
-    disturbance: str
-    seed: int
-    preset: str
-    right: Scores
-    wrong: Scores
-    refined: Scores
-    off_px: float | None
-    left_px: float | None
-    status: str
-
-
-COLUMNS: dict[str, Callable[[Any], str]] = {
-    "scene": lambda row: row.scene,
-    "array": lambda row: row.array,
-    "disturbance": lambda row: row.disturbance,
-    "BadPix(.03): right": lambda row: f"{row.right.badpix_03:.1f}",
-    "wrong": lambda row: f"{row.wrong.badpix_03:.1f}",
-    "refined": lambda row: f"{row.refined.badpix_03:.1f}",
-    "level: right": lambda row: f"{row.right.level_03:.1f}",
-    "level: refined": lambda row: f"{row.refined.level_03:.1f}",
-    "off, px": lambda row: _pixels(row.off_px),
-    "left, px": lambda row: _pixels(row.left_px),
+COLUMNS: Columns = {
+    "scene": "{scene}",
+    "array": "{array}",
+    "disturbance": "{disturbance}",
+    "BadPix(.03): right": "{right[badpix_03]:.1f}",
+    "wrong": "{wrong[badpix_03]:.1f}",
+    "refined": "{refined[badpix_03]:.1f}",
+    "level: right": "{right[level_03]:.1f}",
+    "level: refined": "{refined[level_03]:.1f}",
+    "off, px": lambda row: _pixels(row["off_px"]),
+    "left, px": lambda row: _pixels(row["left_px"]),
 }
 
 
@@ -92,19 +54,24 @@ def _pixels(shift: float | None) -> str:
 def table(rows: Sequence[Row]) -> Table:
     """Make the table: BadPix(0.03) less the median error with right, wrong and lined up cameras, and the shifts."""
     arrays = {"star": "star of {}", "row": "row of {}", "irregular": "{} in no grid"}
-    columns: dict[str, Callable[[Any], str]] = {
-        "scene, views, px": lambda r: (
-            f"`{r.scene}`, {arrays.get(r.array, r.array.replace('x', ' × ')).format(r.views)}, {r.crop}"
-        ),
-        "disturbance": lambda r: "all five" if r.disturbance.count(",") == 4 else r.disturbance.replace("=", " "),
-        "undisturbed": lambda r: f"{r.right.level_03:.1f}",
-        "disturbed": lambda r: f"{r.wrong.level_03:.1f}",
-        "lined up": lambda r: f"{r.refined.level_03:.1f}",
-        "shifts before": lambda r: _pixels(r.off_px),
-        "after": lambda r: _pixels(r.left_px),
+
+    def array(row: Row) -> str:
+        return arrays.get(row["array"], row["array"].replace("x", " × ")).format(row["views"])
+
+    def disturbance(row: Row) -> str:
+        return "all five" if row["disturbance"].count(",") == 4 else row["disturbance"].replace("=", " ")
+
+    columns: Columns = {
+        "scene, views, px": lambda r: f"`{r['scene']}`, {array(r)}, {r['crop']}",
+        "disturbance": disturbance,
+        "undisturbed": "{right[level_03]:.1f}",
+        "disturbed": "{wrong[level_03]:.1f}",
+        "lined up": "{refined[level_03]:.1f}",
+        "shifts before": COLUMNS["off, px"],
+        "after": COLUMNS["left, px"],
     }
     made = Table.of("", 2, rows, columns)
-    return Table("", made.columns, 2, sorted(made.rows))
+    return replace(made, rows=sorted(made.rows))
 
 
 @dataclass(frozen=True)
@@ -143,7 +110,11 @@ def command(
 
 
 def run(plan: Plan) -> Iterator[Row]:
-    """Measure all disturbances of all arrays of all scenes, one after the other."""
+    """Measure all disturbances of all arrays of all scenes: errors with cameras that are right, wrong, and lined up.
+
+    `off_px` and `left_px` are the shifts of the views, rms along each axis, before and after, against what the cameras
+    are, without what views cannot tell; None where cameras stand beside their places.
+    """
     for array in plan.arrays:
         if array not in ARRAYS and not _grid(array):
             raise BenchmarkError(f"unknown array {array!r}; there are {', '.join(ARRAYS)} and other ROWSxCOLUMNS.")
@@ -168,7 +139,7 @@ def _measured(
     how: str,
     misalignment: Misalignment,
     seed: int,
-    right: Scores,
+    right: dict[str, float],
     plan: Plan,
 ) -> Row:
     moved, whole = None, source(None)
@@ -197,21 +168,15 @@ def _measured(
         homographies = found.homographies if found.kept else None
     except LightFieldError as error:
         refined, status, homographies = wrong, str(error), None
-    return Row(
-        Path(scene).name,
-        array,
-        len(chosen.views),
-        max(size),
-        how,
-        seed,
-        plan.preset,
-        right,
-        _scored(wrong, plan, level),
-        _scored(refined, plan, level),
-        _left(wrong, cameras, None, moved),
-        _left(wrong, cameras, homographies, moved),
-        status,
-    )
+    return {
+        **{"scene": Path(scene).name, "array": array, "views": len(chosen.views), "crop": max(size)},
+        **{"disturbance": how, "seed": seed, "preset": plan.preset, "right": right},
+        "wrong": _scored(wrong, plan, level),
+        "refined": _scored(refined, plan, level),
+        "off_px": _left(wrong, cameras, None, moved),
+        "left_px": _left(wrong, cameras, homographies, moved),
+        "status": status,
+    }
 
 
 # --- steps ---
@@ -284,8 +249,12 @@ def _range(lf: LightField, level: float) -> tuple[float, float]:
     return low + level, high + level
 
 
-def _scored(lf: LightField, plan: Plan, level: float = 0.0) -> Scores:
-    """Score a map with the true range, moved by `level`."""
+def _scored(lf: LightField, plan: Plan, level: float = 0.0) -> dict[str, float]:
+    """Score a map with the true range, moved by `level`.
+
+    `level_03` is BadPix(0.03) less the median error: a shift of all views in proportion to their offsets is another
+    plane of disparity 0, which no view tells.
+    """
     truth, bounds = scoring.truth_of(lf), _range(lf, level)
     result: DepthResult = estimate_depth(
         lf,
@@ -297,7 +266,8 @@ def _scored(lf: LightField, plan: Plan, level: float = 0.0) -> Scores:
     found = evaluate(result, truth)
     error = float(np.nanmedian(result.disparity - truth.disparity))
     levelled = evaluate(result.disparity - error, truth)
-    return Scores(found.mse_100, found.badpix_07, found.badpix_03, found.badpix_01, levelled.badpix_03)
+    scores = {name: getattr(found, name) for name in ("mse_100", "badpix_07", "badpix_03", "badpix_01")}
+    return {**scores, "level_03": levelled.badpix_03}
 
 
 def _left(
@@ -333,9 +303,9 @@ def _shifts(lf: LightField, cameras: Sequence[Camera], homographies: NDArray[np.
 
 def load(path: Path) -> list[Row]:
     """Read the rows of a file; BenchmarkError if it has none."""
-    scores = ("right", "wrong", "refined")
     try:
-        rows = json.loads(path.read_text(encoding="utf-8"))["rows"]
-        return [Row(**{**row, **{name: Scores(**row[name]) for name in scores}}) for row in rows]
+        rows: list[Row] = json.loads(path.read_text(encoding="utf-8"))["rows"]
+        table(rows)
+        return rows
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BenchmarkError(f"{path} holds no rows of `benchmarks misalignment`.") from error

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from dataclasses import asdict
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any
 
 import typer
 
@@ -49,7 +48,8 @@ Side = Annotated[
     int, typer.Option(min=32, callback=_multiple_of_32, help="Height of the light fields, pixels: a multiple of 32.")
 ]
 
-Row = TypeVar("Row")
+Row = dict[str, Any]
+"""A measurement, as it stands in a file."""
 
 
 def listed(text: str) -> list[str]:
@@ -102,7 +102,6 @@ def collected(
     *,
     benchmark: str,
     about: dict[str, Any] | None = None,
-    as_json: Callable[[Any], dict[str, Any]] = asdict,
     before: Sequence[Row] = (),
 ) -> list[Row]:
     """Return all rows, and write the file anew after each of them: an interrupted run leaves what it has.
@@ -111,8 +110,8 @@ def collected(
     these.
     """
     check_out(out)
-    found, origin = [], {**machine.about(benchmark), **(about or {})}
+    found, origin = list[Row](), {**machine.about(benchmark), **(about or {})}
     for row in rows:
         found.append(row)
-        save(out, {**origin, "rows": [as_json(one) for one in (*before, *found)]})
+        save(out, {**origin, "rows": [*before, *found]})
     return found

@@ -17,7 +17,6 @@ from benchmarks import (
     misalignment,
     paper,
     pipelines,
-    rendering,
     results,
     runs,
     tile_differences,
@@ -187,14 +186,10 @@ def _runs(*paths: Path) -> str:
     return "\n".join(runs.markdown(run) for run in results.merged(map(results.load, paths)))
 
 
-def _rendered(path: Path) -> list[rendering.Row]:
-    return [rendering.Row(**row) for row in _rows(path)]
-
-
 def _new_views(path: Path) -> str:
     """Write the PSNR of whole views, rendered and as the mean of the neighbours."""
     names = ("rendered", "mean of neighbours")
-    rows = [(f"`{row.scene}`", *(f"{row.whole[name]:.1f} dB" for name in names)) for row in _rendered(path)]
+    rows = [(f"`{row['scene']}`", *(f"{row['whole'][name]:.1f} dB" for name in names)) for row in _rows(path)]
     return Table("", ("scene", *names), 1, rows).markdown
 
 

@@ -20,7 +20,6 @@ from benchmarks.job import Job
 from benchmarks.results import Record, Spread
 from lfgpu import PRESETS, DepthPipeline, DepthResult, LightField, estimate_depth, evaluate
 from lfgpu._backends import backend_named
-from lfgpu.contract import Float32Array
 from lfgpu.methods import configured, method_of
 
 SCRATCH, RESIDENT, SCIPY = "paper", "resident", "scipy"
@@ -96,12 +95,12 @@ def _resident(job: Job, lf: LightField, *, look: bool) -> _Measured:
 
     def made() -> DepthPipeline:
         pipeline = DepthPipeline(lf, config=config, backend=backend_named(job.backend), device=job.device)
-        _warm_up(partial(_frame, pipeline, lf), repeats=job.repeats, on_gpu=on_gpu)
+        _warm_up(partial(stages.frame, pipeline, lf.views), repeats=job.repeats, on_gpu=on_gpu)
         return pipeline
 
     pipeline, peak = _with_peak(made, look)
     least = job.repeats if on_gpu and job.name != SCIPY else min(2, job.repeats)
-    seconds = clock.singly(partial(_frame, pipeline, lf), least=least, most=job.repeats, budget=_BUDGET)
+    seconds = clock.singly(partial(stages.frame, pipeline, lf.views), least=least, most=job.repeats, budget=_BUDGET)
     result = pipeline.result()
     times, captured = stages.measure(pipeline, lf.views, repeats=job.repeats)
     return _Measured(clock.spread(seconds), result, times, peak, {"captured": captured})
@@ -112,12 +111,6 @@ def _warm_up(frame: Callable[[], object], *, repeats: int, on_gpu: bool) -> None
         clock.singly(frame, least=_WARM_UP, most=sys.maxsize, budget=_WARM_UP_ON_GPU)
     else:
         clock.singly(frame, least=1, most=min(_WARM_UP, repeats), budget=_WARM_UP_BUDGET)
-
-
-def _frame(pipeline: DepthPipeline, lf: LightField) -> Float32Array:
-    pipeline.upload(lf.views)
-    pipeline.run()
-    return pipeline.disparity()
 
 
 def _with_peak(run: Callable[[], Done], look: bool) -> tuple[Done, int | None]:

@@ -12,6 +12,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from time import monotonic
 from typing import Any, TypeVar
+from unittest.mock import patch
 
 from lfgpu.errors import LfgpuError
 
@@ -39,7 +40,7 @@ def collect(
     process = context.Process(target=_send, args=(sender, function, arguments))
     found: list[T] = []
     with tempfile.TemporaryFile("w+", errors="replace") as output:
-        with _added(variables), _written_to(output.fileno()):
+        with patch.dict(os.environ, variables), _written_to(output.fileno()):
             process.start()
         sender.close()
         end = monotonic() + timeout
@@ -86,21 +87,6 @@ def _send(sender: Connection, function: Callable[..., Iterable[Any]], arguments:
         sender.send((False, sentence(error)))
     else:
         sender.send((False, ""))
-
-
-@contextmanager
-def _added(variables: Mapping[str, str]) -> Iterator[None]:
-    """Add variables to the environment for a while."""
-    before = {name: os.environ.get(name) for name in variables}
-    os.environ.update(variables)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value
 
 
 @contextmanager

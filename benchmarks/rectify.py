@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from benchmarks import cases, clock
 from benchmarks.cases import Case
-from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Seconds, collected, listed, places, say
+from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Row, Seconds, collected, listed, places, say
 from benchmarks.tables import Table
 from lfgpu import DepthPipeline, LightField, Rectifier, scenes
 from lfgpu._backends import backend_named, open_device
@@ -27,44 +27,15 @@ _RANGE = (-2.0, 2.0)
 _REPEATS = 25
 
 
-@dataclass(frozen=True)
-class Row:
-    """One case on one backend and device; times are medians in milliseconds.
-
-    `all_ms` rectifies all views, `used_ms` those that the preset uses. `frame_ms` is a whole estimate of views that are
-    resident, without the way of the frame to the device, `rectified_ms` the same from raw pictures, in one graph where
-    there are graphs. `host_ms` is `Rig.light_field`, by splines, on the host. `error` is the largest difference from
-    the reference backend in one view, stored values.
-    """
-
-    case: str
-    preset: str
-    backend: str
-    device: str
-    views: int
-    used: int
-    all_ms: float
-    used_ms: float
-    frame_ms: float
-    rectified_ms: float
-    host_ms: float
-    error: float
-
-    @property
-    def added_ms(self) -> float:
-        """Time that rectification of all views adds to a frame."""
-        return self.rectified_ms - self.frame_ms
-
-
-COLUMNS: dict[str, Callable[[Any], str]] = {
-    "case": lambda row: row.case,
-    "backend": lambda row: f"{row.backend} {row.device}",
-    "all views, ms": lambda row: f"{row.all_ms:.3f}",
-    "used views, ms": lambda row: f"{row.used}: {row.used_ms:.3f}",
-    "frame, ms": lambda row: f"{row.frame_ms:.2f}",
-    "added, ms": lambda row: f"{row.added_ms:.3f}",
-    "host, ms": lambda row: f"{row.host_ms:.0f}",
-    "error": lambda row: f"{row.error:.2f}",
+COLUMNS = {
+    "case": "{case}",
+    "backend": "{backend} {device}",
+    "all views, ms": "{all_ms:.3f}",
+    "used views, ms": "{used}: {used_ms:.3f}",
+    "frame, ms": "{frame_ms:.2f}",
+    "added, ms": "{added_ms:.3f}",
+    "host, ms": "{host_ms:.0f}",
+    "error": "{error:.2f}",
 }
 
 
@@ -78,17 +49,20 @@ def command(
 ) -> None:
     """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
     rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
-    about = {"rig": asdict(RIG)}
-    found = collected(
-        rows, out, benchmark="rectify", about=about, as_json=lambda row: {**asdict(row), "added_ms": row.added_ms}
-    )
-    Table.of("", 2, found, COLUMNS).show()
+    Table.of("", 2, collected(rows, out, benchmark="rectify", about={"rig": asdict(RIG)}), COLUMNS).show()
 
 
 def run(
     chosen: Sequence[Case], preset: str, backends: Sequence[str], device: str | None, seconds: float
 ) -> Iterator[Row]:
-    """Measure all cases on all backends that have the device, each time for so many seconds at most."""
+    """Measure all cases on all backends that have the device, each time for so many seconds at most.
+
+    Times of a row are medians in milliseconds. `all_ms` rectifies all views, `used_ms` those that the preset uses.
+    `frame_ms` is a whole estimate of views that are resident, without the way of the frame to the device,
+    `rectified_ms` the same from raw pictures, in one graph where there are graphs, `added_ms` their difference.
+    `host_ms` is `Rig.light_field`, by splines, on the host. `error` is the largest difference from the reference
+    backend in one view, stored values.
+    """
     for case in chosen:
         say(f"{case.name}: casting a scene and disturbing its cameras")
         scene = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
@@ -137,20 +111,22 @@ def _measured(
     options: dict[str, Any] = {"config": preset, "disparity_range": _RANGE, "backend": backend, "device": device.name}
     plain = DepthPipeline(rectified, **options)
     whole = DepthPipeline(pictures, rectifier=rectifier, measured=plain.measured, **options)
-    return Row(
-        case.name,
-        preset,
-        backend,
-        device.name,
-        len(pictures.views),
-        len(used),
-        timed(),
-        timed(used=used),
-        frame(plain),
-        frame(whole),
-        host_ms,
-        _error(pictures, rectifier, rectified),
-    )
+    plain_ms, whole_ms = frame(plain), frame(whole)
+    return {
+        "case": case.name,
+        "preset": preset,
+        "backend": backend,
+        "device": device.name,
+        "views": len(pictures.views),
+        "used": len(used),
+        "all_ms": timed(),
+        "used_ms": timed(used=used),
+        "frame_ms": plain_ms,
+        "rectified_ms": whole_ms,
+        "added_ms": whole_ms - plain_ms,
+        "host_ms": host_ms,
+        "error": _error(pictures, rectifier, rectified),
+    }
 
 
 def _error(pictures: LightField, rectifier: Rectifier, rectified: LightField) -> float:

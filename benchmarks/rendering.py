@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +10,7 @@ import numpy as np
 import typer
 
 from benchmarks.errors import BenchmarkError
-from benchmarks.options import DATA, Data, Out, Preset, collected, listed, say
+from benchmarks.options import DATA, Data, Out, Preset, Row, collected, listed, say
 from benchmarks.tables import Table
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data import LightField
@@ -23,21 +22,6 @@ from lfgpu.viz.rendering import Renderer
 SCENES = ("cotton", "kitchen", "lytro_2067")
 METHODS = ("nearest view", "mean of neighbours", "rendered")
 BORDER = 15  # pixels, as in the scores of maps
-
-
-@dataclass(frozen=True)
-class Row:
-    """Views of one scene: PSNR in dB by method, of whole views and with the border left out."""
-
-    scene: str
-    kept: int
-    rendered: int
-    whole: dict[str, float]
-    inner: dict[str, float]
-    worst: dict[str, float]
-    """PSNR of the worst view, whole."""
-    known: float
-    """Share of the pixels that some kept view shows."""
 
 
 def command(
@@ -53,7 +37,11 @@ def command(
 
 
 def run(scenes: Sequence[str], data: Path, *, preset: str, every: int) -> Iterator[Row]:
-    """Measure each scene; every `every`-th of the views that are left out is rendered."""
+    """Measure each scene; every `every`-th of the views that are left out is rendered.
+
+    PSNR is in dB by method: `whole` of whole views, `inner` with the border left out, `worst` of the worst view, whole.
+    `known` is the share of the pixels that some kept view shows.
+    """
     there = [name for name in scenes if (data / name).is_dir()]
     for name in scenes:
         if name not in there:
@@ -70,16 +58,12 @@ def table(rows: Sequence[Row]) -> Table:
     columns = ("scene", "kept / rendered views", *METHODS, "worst view", "shown by a kept view")
     cells = []
     for row in rows:
-        best = max(row.whole.values())
-        marks = {m: "**" if row.whole[m] == best else "" for m in METHODS}
+        best = max(row["whole"].values())
+        marks = {m: "**" if row["whole"][m] == best else "" for m in METHODS}
+        found = (f"{marks[m]}{row['whole'][m]:.1f} / {row['inner'][m]:.1f}{marks[m]}" for m in METHODS)
+        worst = " / ".join(f"{row['worst'][m]:.1f}" for m in METHODS)
         cells.append(
-            (
-                f"`{row.scene}`",
-                f"{row.kept} / {row.rendered}",
-                *(f"{marks[m]}{row.whole[m]:.1f} / {row.inner[m]:.1f}{marks[m]}" for m in METHODS),
-                " / ".join(f"{row.worst[m]:.1f}" for m in METHODS),
-                f"{100 * row.known:.2f} %",
-            )
+            (f"`{row['scene']}`", f"{row['kept']} / {row['rendered']}", *found, worst, f"{100 * row['known']:.2f} %")
         )
     return Table("", columns, len(columns), cells)
 
@@ -112,9 +96,10 @@ def _measure(name: str, lf: LightField, preset: str, every: int) -> Row:
         images = (*_baselines(kept, position), rendered.image)
         whole[place] = [psnr(image[valid], recorded[valid]) for image in images]
         inner[place] = [psnr(image[valid & within], recorded[valid & within]) for image in images]
-    by_method = [dict(zip(METHODS, map(float, m), strict=True)) for m in (whole.mean(0), inner.mean(0), whole.min(0))]
-    mean, inside, worst = by_method
-    return Row(name, len(kept.views), len(wanted), mean, inside, worst, float(np.mean(known)))
+    found = {"whole": whole.mean(0), "inner": inner.mean(0), "worst": whole.min(0)}
+    by_method = {name: dict(zip(METHODS, map(float, values), strict=True)) for name, values in found.items()}
+    what = {"scene": name, "kept": len(kept.views), "rendered": len(wanted)}
+    return {**what, **by_method, "known": float(np.mean(known))}
 
 
 def _baselines(lf: LightField, position: Float64Array) -> tuple[Float32Array, Float32Array]:

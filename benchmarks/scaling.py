@@ -25,8 +25,8 @@ import typer
 from benchmarks import cases
 from benchmarks.cases import Case
 from benchmarks.errors import BenchmarkError
-from benchmarks.options import Cases, Out, Presets, collected, listed, say
-from benchmarks.tables import Table
+from benchmarks.options import Cases, Out, Presets, Row, collected, listed, say
+from benchmarks.tables import Columns, Table
 from lfgpu import DepthPipeline, LightField, get_threads, set_threads
 from lfgpu._backends import load
 from lfgpu.methods import configured
@@ -50,33 +50,14 @@ class Plan:
     seconds: float = 5.0
 
 
-@dataclass(frozen=True)
-class Row:
-    """Rate of so many devices together."""
-
-    case: str
-    preset: str
-    mode: str
-    kind: str
-    devices: int
-    rate: float
-    """Light fields in a second, of all devices."""
-    efficiency: float
-    """Rate over that of one device, times their number."""
-    milliseconds: float
-    """Median time of one light field on one device."""
-    threads: int
-    """Threads of the CPU for each device."""
-
-
-COLUMNS: dict[str, Callable[[Any], str]] = {
-    "light field": lambda row: row.case,
-    "preset": lambda row: row.preset,
-    "mode": lambda row: row.mode,
-    "devices": lambda row: str(row.devices),
-    "light fields / s": lambda row: f"{row.rate:.1f}",
-    "efficiency": lambda row: f"{100 * row.efficiency:.0f} %",
-    "ms each": lambda row: f"{row.milliseconds:.2f}",
+COLUMNS: Columns = {
+    "light field": "{case}",
+    "preset": "{preset}",
+    "mode": "{mode}",
+    "devices": "{devices}",
+    "light fields / s": "{rate:.1f}",
+    "efficiency": lambda row: f"{100 * row['efficiency']:.0f} %",
+    "ms each": "{milliseconds:.2f}",
 }
 
 
@@ -108,7 +89,11 @@ def gpu_counts(text: str, there: int) -> tuple[int, ...]:
 
 
 def run(plan: Plan) -> Iterator[Row]:
-    """Measure, row by row. BenchmarkError if more devices are asked for than there are."""
+    """Measure, row by row. BenchmarkError if more devices are asked for than there are.
+
+    `rate` is light fields in a second of all devices together, `efficiency` that over the rate of one device times
+    their number, `milliseconds` the median of one light field on one device, `threads` those of the CPU for each.
+    """
     if max(plan.counts) > len(plan.devices):
         raise BenchmarkError(f"there are {len(plan.devices)} devices, not {max(plan.counts)}; give fewer as --counts.")
     if plan.kind not in KINDS:
@@ -124,8 +109,9 @@ def run(plan: Plan) -> Iterator[Row]:
                     say(f"{case.name} {preset} {mode} on {count}")
                     rate, each, threads = _together(plan, path, preset, mode, count)
                     alone = rate / count if alone is None else alone
-                    share = rate / (count * alone)
-                    yield Row(case.name, preset, mode, plan.kind, count, rate, share, 1e3 * each, threads)
+                    what = {"case": case.name, "preset": preset, "mode": mode, "kind": plan.kind, "devices": count}
+                    found = {"rate": rate, "efficiency": rate / (count * alone), "milliseconds": 1e3 * each}
+                    yield {**what, **found, "threads": threads}
 
 
 def _together(plan: Plan, path: Path, preset: str, mode: str, count: int) -> tuple[float, float, int]:

@@ -58,10 +58,15 @@ def hash_of(benchmark: str, root: Path = ROOT) -> str:
     found = hashlib.sha256()
     for path in sorted(set(_files(root, (*SOURCES[benchmark], f"benchmarks/{benchmark}.py")))):
         found.update(f"{path.relative_to(root).as_posix()}\n".encode())
-        is_code = path.suffix == ".py"
-        found.update(_shape(ast.parse(path.read_text(encoding="utf-8"))).encode() if is_code else path.read_bytes())
+        found.update(_content(path))
         found.update(b"\n")
     return found.hexdigest()[:16]
+
+
+@cache
+def _content(path: Path) -> bytes:
+    """Return the shape of code, or what another file holds; most files are sources of several benchmarks."""
+    return _shape(ast.parse(path.read_text(encoding="utf-8"))).encode() if path.suffix == ".py" else path.read_bytes()
 
 
 def _files(root: Path, places: Iterable[str]) -> Iterator[Path]:

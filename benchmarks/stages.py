@@ -12,10 +12,17 @@ from numpy.typing import NDArray
 
 from benchmarks import clock
 from lfgpu import DepthPipeline
-from lfgpu.contract import Device
+from lfgpu.contract import Device, Float32Array
 
 UPLOAD, DOWNLOAD = "upload", "download"
 _MOST, _BUDGET = 10, 1.0  # repeats of each part, and seconds for them
+
+
+def frame(pipeline: DepthPipeline, views: NDArray[np.generic]) -> Float32Array:
+    """Take views to a map, host to host, with a pipeline that is there."""
+    pipeline.upload(views)
+    pipeline.run()
+    return pipeline.disparity()
 
 
 def measure(

@@ -32,27 +32,7 @@ _NONE = "none"
 
 @dataclass(frozen=True)
 class Plan:
-    """The measurements to make.
-
-    Parameters
-    ----------
-    cases, backends
-        What to measure.
-    operations
-        Presets whose operations are measured.
-    pipelines
-        Ways in which the whole method is measured.
-    devices
-        The devices; None for the CPU and the first GPU, where a backend has them.
-    startup
-        Whether start-up is measured.
-    repeats, threads
-        At most so many repeats, with at most so many threads of the CPU.
-    runs
-        Repeats of the resident method on a GPU.
-    timeout
-        Seconds that one process may take.
-    """
+    """The measurements to make, as the options of `measure` say; `devices` None is the CPU and the first GPU."""
 
     cases: tuple[Case, ...]
     backends: tuple[str, ...]

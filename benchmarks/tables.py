@@ -11,6 +11,11 @@ from rich.console import Console
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from lfgpu.cli.console import output
+
+Columns = Mapping[str, str | Callable[[Any], str]]
+"""By the title of a column: a format of the names in a row, or a function that writes the cell of a row."""
+
 NONE = "–"
 _WIDEST = 240  # columns where the output goes to a file: nobody wraps it there
 
@@ -25,9 +30,10 @@ class Table:
     rows: Sequence[tuple[str, ...]]
 
     @classmethod
-    def of(cls, title: str, labels: int, rows: Iterable[Any], columns: Mapping[str, Callable[[Any], str]]) -> Table:
-        """Make a table of any rows: `columns` maps a title to the function that writes the cell of a row."""
-        return cls(title, tuple(columns), labels, [tuple(cell(row) for cell in columns.values()) for row in rows])
+    def of(cls, title: str, labels: int, rows: Iterable[Any], columns: Columns) -> Table:
+        """Make a table of any rows; formats are for dictionaries."""
+        cells = [cell.format_map if isinstance(cell, str) else cell for cell in columns.values()]
+        return cls(title, tuple(columns), labels, [tuple(cell(row) for cell in cells) for row in rows])
 
     def show(self) -> None:
         """Print it, if it has rows."""
@@ -51,7 +57,7 @@ class Table:
 
 def console() -> Console:
     """Return a console that prints text as it is, and wide where the output goes to a file."""
-    found = Console(highlight=False, markup=False, emoji=False)
+    found = output()
     if not found.is_terminal:
         found.width = _WIDEST
     return found

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.errors import BenchmarkError
 from benchmarks.options import Out, Presets, collected, listed, say
-from benchmarks.tables import Table
+from benchmarks.tables import Columns, Table
 from lfgpu import LightField, estimate_depth, scenes
 from lfgpu._backends import open_device
 from lfgpu.data import DepthResult
@@ -38,7 +38,7 @@ SCENES = (
 
 def command(presets: Presets = "fast,accurate", out: Out = None) -> None:
     """Compare maps in 2 x 2 tiles with those in one piece, after each stage."""
-    table(collected(run(listed(presets)), out, benchmark="tile_differences", as_json=dict)).show()
+    table(collected(run(listed(presets)), out, benchmark="tile_differences")).show()
 
 
 def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> Iterator[dict[str, Any]]:
@@ -61,12 +61,12 @@ def run(presets: Sequence[str], chosen: Sequence[Scene] = SCENES) -> Iterator[di
 
 def table(rows: Sequence[dict[str, Any]]) -> Table:
     """Make the table."""
-    columns = {
-        "scene": lambda r: f"`{r['scene']}`",
-        "size": lambda r: "{} × {}".format(*r["size"]),
-        "preset": lambda r: f"`{r['preset']}`",
-        "stage": lambda r: r["stage"],
-        "largest, px": lambda r: f"{r['largest']:.2g}",
+    columns: Columns = {
+        "scene": "`{scene}`",
+        "size": "{size[0]} × {size[1]}",
+        "preset": "`{preset}`",
+        "stage": "{stage}",
+        "largest, px": "{largest:.2g}",
         "share above 0.001 px": lambda r: f"{r['above 0.001']:.2f} %",
         "share above 0.01 px": lambda r: f"{r['above 0.01']:.2f} %",
     }

@@ -1,5 +1,6 @@
 """Fixtures of all tests: backends and devices that are tried, the seed of random inputs, real light fields."""
 
+import gc
 import os
 import pickle
 import secrets
@@ -49,14 +50,32 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.addinivalue_line("markers", "thorough: left out by `make test`, run by `make test-all`")
+    config.addinivalue_line("markers", "special: thorough by other backends than the default and the reference")
     config.addinivalue_line("markers", "data(folder): needs the real light field in that folder of $LFGPU_DATA")
     given = config.getoption("--seed")
     # By way of the environment, so that all workers of pytest-xdist have the same one.
     os.environ[SEED] = str(given) if given is not None else os.environ.get(SEED) or str(secrets.randbits(32))
     _share_cores()
     wanted = config.getoption("--backend"), config.getoption("--device")
-    config.stash[_TARGETS] = list(_find_targets(*wanted))
+    # The process that starts the workers of pytest-xdist runs no test: it need not load what takes seconds.
+    starts_workers = getattr(config.option, "dist", "no") != "no" and not hasattr(config, "workerinput")
+    if not starts_workers:
+        gc.disable()  # until all tests are collected: there is nothing to free
+    config.stash[_TARGETS] = [] if starts_workers and not any(wanted) else list(_find_targets(*wanted))
     _refuse_nothing(config.stash[_TARGETS], *wanted)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Import no module of which `make test` leaves out all tests: some need packages that take seconds to load."""
+    if config.option.markexpr != "not thorough" or collection_path.suffix != ".py":
+        return None
+    return True if "\npytestmark = pytest.mark.thorough\n" in collection_path.read_text(encoding="utf-8") else None
+
+
+def pytest_collection_finish() -> None:
+    """Leave modules and thousands of tests out of all collections of garbage, of which each pipeline needs one."""
+    gc.freeze()
+    gc.enable()
 
 
 _TARGETS = pytest.StashKey[list[Target]]()
@@ -115,21 +134,23 @@ def _started(target: Target) -> Target:
 
 def pytest_report_header(config: pytest.Config) -> list[str]:
     targets = config.stash[_TARGETS]
-    backends, devices = (max(len(target[column]) for target in targets) for column in (0, 1))
+    backends, devices = (max((len(target[column]) for target in targets), default=0) for column in (0, 1))
     table = [
         f"  {target.backend:<{backends}}  {target.device:<{devices}}  "
         + (f"not tried: {target.reason}" if target.kernels is None else "tried")
         for target in targets
     ]
     data = f"{DATA}" if DATA.is_dir() else f"{DATA} is not there: tests on real light fields are skipped"
-    return ["kernels:", *table, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
+    heading = "kernels:" if table else "kernels: of all backends; what is not here is among the skipped tests"
+    return [heading, *table, f"random inputs: --seed={os.environ[SEED]}", f"data: {data}"]
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """`target`: each backend x device that can be tried; `other`: those but the reference; `named`: all.
 
-    Outside of tests/kernels, which hold each operation of each backend, all but the default backend are thorough.
+    Outside of tests/kernels, which hold each operation of each backend, all but the default backend are thorough; and
+    in the matrix there all but the first cases of each operation (`special`).
     Comes last, so that what one case needs is computed once for all of them, and in one worker of pytest-xdist.
     """
     targets = metafunc.config.stash[_TARGETS]
@@ -153,8 +174,13 @@ def _everyday(target: Any) -> Any:
 
 
 def pytest_itemcollected(item: pytest.Item) -> None:
-    """In a browser, only what everybody sees of the viewer is no thorough test."""
-    if "browser" in getattr(item, "fixturenames", ()) and item.path.name not in ("test_looking.py", "test_banner.py"):
+    """In a browser, all but what everybody sees of the viewer is thorough; `special` tests are by other backends."""
+    in_browser = "browser" in getattr(item, "fixturenames", ())
+    given = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
+    target = given.get("other", given.get("target"))
+    by_another = target is not None and target.backend not in (DEFAULT, "reference")
+    special = by_another and item.get_closest_marker("special") is not None
+    if special or (in_browser and item.path.name not in ("test_looking.py", "test_banner.py")):
         item.add_marker(pytest.mark.thorough)
 
 

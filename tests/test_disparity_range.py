@@ -34,7 +34,7 @@ def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: flo
 @pytest.mark.parametrize("noise", [0.03, pytest.param(0.0, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_it_holds_the_scene(name: str, noise: float) -> None:
-    spans(scenes.make(name, seed=7, grid=(5, 5), size=(160, 200), noise=noise), missing=0.002)
+    spans(scenes.make(name, seed=7, grid=(5, 5), size=(128, 160), noise=noise), missing=0.002)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,7 @@ def test_it_holds_small_and_large_disparities_of_few_views(extent: tuple[float, 
 
 @pytest.mark.parametrize("grid", [(1, 9), (9, 1), (1, 17), (3, 3), (2, 2)], ids=str)
 def test_it_holds_with_few_views_or_one_line_of_them(grid: tuple[int, int]) -> None:
-    spans(scenes.make("relief", grid=grid, size=(160, 160)), more=0.7)
+    spans(scenes.make("relief", grid=grid, size=(128, 128)), more=0.7)
 
 
 def test_views_of_different_brightness_and_a_plain_wall_do_not_open_it() -> None:

@@ -20,7 +20,6 @@ from typer.testing import CliRunner
 from lfgpu import _backends, machine
 from lfgpu._backends import BackendInfo
 from lfgpu.cli import app, checkup
-from lfgpu.pipelines import estimate
 
 ROOT = Path(__file__).parents[1]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
@@ -33,7 +32,7 @@ PARTS = checkup.TRIALS
 @pytest.fixture(autouse=True)
 def estimated_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """The map of the self-test is one for all tests, which change what is done with it; parts are tried where said."""
-    true = estimate.estimate_depth
+    true = checkup.estimate_depth
 
     def once(*arguments: Any, **options: Any) -> Any:
         key = repr(options)
@@ -41,7 +40,7 @@ def estimated_once(monkeypatch: pytest.MonkeyPatch) -> None:
             MAPS[key] = true(*arguments, **options)
         return MAPS[key]
 
-    monkeypatch.setattr(estimate, "estimate_depth", once)
+    monkeypatch.setattr(checkup, "estimate_depth", once)
     monkeypatch.setattr(checkup, "TRIALS", {})
 
 
@@ -99,7 +98,7 @@ def test_the_default_backend_is_held_against_the_reference(monkeypatch: pytest.M
 @pytest.mark.usefixtures("only_reference")
 @pytest.mark.parametrize("wrong", [0.1, np.nan])
 def test_a_wrong_map_is_a_problem(wrong: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    true = estimate.estimate_depth
+    true = checkup.estimate_depth
 
     def off(*arguments: Any, **options: Any) -> Any:
         result = true(*arguments, **options)
@@ -114,7 +113,7 @@ def test_a_wrong_map_is_a_problem(wrong: float, monkeypatch: pytest.MonkeyPatch)
 
 def test_two_backends_that_differ_are_a_problem(monkeypatch: pytest.MonkeyPatch) -> None:
     """A hundredth of a pixel is within what the scene allows, but not between backends."""
-    true = estimate.estimate_depth
+    true = checkup.estimate_depth
 
     def off(*arguments: Any, backend: Any, **options: Any) -> Any:
         result = true(*arguments, backend=backend, **options)

@@ -127,6 +127,7 @@ def square_before_a_wall(noise: float, rng: np.random.Generator) -> LightField:
     return LightField(np.asarray(views, np.float32), np.asarray(positions, np.float64))
 
 
+@pytest.mark.thorough
 def test_a_wall_of_noise_comes_less_near_in_further_sweeps(rng: np.random.Generator) -> None:
     walls = [square_before_a_wall(0.03, rng) for _ in range(4)]  # noise of one alone may do the opposite
 

@@ -255,7 +255,6 @@ def test_contributions_meet_the_checks_of_every_machine() -> None:
 
 CONTENT = {
     "date": "2026-01-02T03:04",
-    "sources": sources.stamp("flicker"),
     "rows": [{"name": "a b", "n": 1, "ms": 0.1234}, {"name": "a c", "n": 2, "ms": 5.0}],
 }
 MARKED = (
@@ -264,10 +263,15 @@ MARKED = (
 )
 
 
+def fresh() -> str:
+    """Return a result file that was measured with the code that is here."""
+    return json.dumps({**CONTENT, "sources": sources.stamp("flicker")})
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A folder of results with one file."""
-    (tmp_path / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    (tmp_path / "run.json").write_text(fresh(), encoding="utf-8")
     return tmp_path
 
 
@@ -326,10 +330,10 @@ def aged(folder: Path) -> None:
 
 
 def test_a_page_says_that_a_file_is_stale_until_it_is_measured_again(folder: Path) -> None:
-    (folder / "other.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    (folder / "other.json").write_text(fresh(), encoding="utf-8")
     before = "# First\n\nOf <!-- figure: other.json date .4 -->2026<!-- /figure -->.\n\n"
     page = page_of(folder, "---\ntop: 1\n---\n\n" + before + "# Title\n\n" + MARKED.format("123.4"))
-    fresh = page.read_text(encoding="utf-8")
+    before = page.read_text(encoding="utf-8")
     assert figures.write(folder, folder) == []
     aged(folder)
     differing = [mark for mark in figures.marks(page, folder) if mark.found != mark.wanted]
@@ -337,11 +341,11 @@ def test_a_page_says_that_a_file_is_stale_until_it_is_measured_again(folder: Pat
     figures.write(folder, folder)
     top, note, rest = re.split(r"<!-- /?stale -->\n", page.read_text(encoding="utf-8"))
     assert "Older than the code: the figures from `run.json`" in note
-    assert top + rest.removeprefix("\n") == fresh
+    assert top + rest.removeprefix("\n") == before
     assert figures.write(folder, folder) == []
-    (folder / "run.json").write_text(json.dumps(CONTENT), encoding="utf-8")
+    (folder / "run.json").write_text(fresh(), encoding="utf-8")
     figures.write(folder, folder)
-    assert page.read_text(encoding="utf-8") == fresh
+    assert page.read_text(encoding="utf-8") == before
 
 
 def test_files_without_a_hash_are_stale_and_those_of_released_versions_and_of_others_are_not(folder: Path) -> None:
@@ -360,6 +364,7 @@ def test_the_hash_follows_code_and_not_comments(tmp_path: Path) -> None:
 
     def now() -> str:
         sources.hash_of.cache_clear()
+        sources._content.cache_clear()
         return sources.hash_of("judge", tmp_path)
 
     def after(text: str, file: Path = code) -> str:

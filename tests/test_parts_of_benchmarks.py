@@ -161,11 +161,11 @@ def test_what_is_measured_before_an_estimate_is_timed(tmp_path: Path) -> None:
 def test_every_mode_and_count_is_measured(kind: str, counts: tuple[int, ...], tmp_path: Path) -> None:
     plan = scaling.Plan(CASES[:1], ("fast",), ("cpu", "cpu"), counts, kind, 0.1)
     rows = collected(scaling.run(plan), tmp_path / "scaling.json", benchmark="scaling")
-    assert [(row.mode, row.devices) for row in rows] == [(m, n) for m in scaling.MODES for n in counts]
+    assert [(row["mode"], row["devices"]) for row in rows] == [(m, n) for m in scaling.MODES for n in counts]
     for row in rows:
-        assert row.rate > 0
-        assert row.milliseconds > 0
-        assert row.efficiency == 1 or row.devices > 1
+        assert row["rate"] > 0
+        assert row["milliseconds"] > 0
+        assert row["efficiency"] == 1 or row["devices"] > 1
     assert len(json.loads((tmp_path / "scaling.json").read_text())["rows"]) == len(rows)
 
 
@@ -187,10 +187,10 @@ def test_rendered_views_win_on_a_scene_and_the_table_says_so(
     rows = list(rendering.run(["relief", "nothing"], tmp_path, preset="fast", every=6))
     assert "nothing is not there, left out" in capsys.readouterr().err
     (row,) = rows
-    assert (row.scene, row.kept, row.rendered) == ("relief", 9, 3)
-    for values in (row.whole, row.inner):
+    assert (row["scene"], row["kept"], row["rendered"]) == ("relief", 9, 3)
+    for values in (row["whole"], row["inner"]):
         assert values["rendered"] > values["mean of neighbours"] > values["nearest view"]
-    assert f"**{row.whole['rendered']:.1f} / {row.inner['rendered']:.1f}**" in rendering.table(rows).markdown
+    assert f"**{row['whole']['rendered']:.1f} / {row['inner']['rendered']:.1f}**" in rendering.table(rows).markdown
     with pytest.raises(BenchmarkError, match="LFGPU_DATA"):
         list(rendering.run(["nothing"], tmp_path, preset="fast", every=1))
 

@@ -59,6 +59,7 @@ def test_stages_have_the_names_of_the_code(method: type[Matching] | type[Synthes
     assert f"after each stage: {', '.join(names[:-1])} and {names[-1]}." in page
 
 
+@pytest.mark.thorough
 def test_films_are_small_and_the_script_draws_one(monkeypatch: pytest.MonkeyPatch) -> None:
     film = module(DOCS / "film.py")
     assert film.FILM.stat().st_size < 600_000

@@ -152,6 +152,7 @@ def test_a_light_field_that_is_too_large_for_the_machine_is_estimated_in_tiles(
     assert " tiles of " not in estimate_depth(scene, **options).status
 
 
+@pytest.mark.thorough
 def test_patches_without_texture_are_those_found_in_one_piece() -> None:
     """As far as halos reach beyond them: from what their paths bring along. Filling stops by the residual of a tile."""
     rows = {

@@ -33,6 +33,11 @@ class Case:
     def __str__(self) -> str:
         return self.name.replace(" ", "-")
 
+    @property
+    def tolerance(self) -> float:
+        """Relative error of a float32 backend."""
+        return 1e-5
+
 
 def grid(rows: int, columns: int) -> tuple[tuple[float, float], ...]:
     """Offsets (du, dv) of a grid of views from its middle one, which is among them."""

@@ -17,11 +17,12 @@ class Stored(checks.Case):
     """A case whose volumes are `stored` as float32 or float16."""
 
     stored: str = "float32"
+    exact: bool = False
+    """Whether results are float32, whatever volumes are stored as."""
 
     @property
     def tolerance(self) -> float:
-        """Relative error of a float32 backend."""
-        return 1e-5 if self.stored == "float32" else 1e-3
+        return super().tolerance if self.exact or self.stored == "float32" else 1e-3
 
 
 @dataclass(frozen=True)
@@ -108,12 +109,6 @@ class ConvolutionCase(Stored):
     rectified: bool = True
     strip: tuple[int, int, int] | None = None
     """So many rows are computed at a time, of a volume and into one that hold so many."""
-    exact: bool = False
-    """Whether the result is stored as float32, whatever else is."""
-
-    @property
-    def tolerance(self) -> float:
-        return 1e-5 if self.exact else super().tolerance
 
 
 _LAYERS = (
@@ -182,10 +177,7 @@ class PeakCase(Stored):
     sharpness: float = 3.0
     strip: int | None = None
     """So many folded rows are looked at, at a time."""
-
-    @property
-    def tolerance(self) -> float:
-        return 1e-5
+    exact: bool = True
 
 
 PEAK_CASES = (
@@ -289,10 +281,6 @@ class FacetCase(checks.Case):
     level: float = 0.0
     ties: bool = False
     """Whether several planes fit equally well."""
-
-    @property
-    def tolerance(self) -> float:
-        return 1e-5
 
 
 FACET_CASES = (

@@ -32,11 +32,6 @@ class SweepCase(checks.Case):
     preference: float = 0.1
     least: int = 2
 
-    @property
-    def tolerance(self) -> float:
-        """Relative error of a float32 backend."""
-        return 1e-5
-
 
 SWEEP_CASES = (
     SweepCase("colour uint8"),

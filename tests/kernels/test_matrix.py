@@ -86,10 +86,20 @@ OPERATIONS = tuple(operation for family in FAMILIES for operation in family.OPER
 UNORDERED = ("splat_z_buffered",)
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
+FIRST = 3
+"""Cases of an operation that every backend is tried with by `make test`; with the others only the default is."""
+
+
+def marks_of(place: int, case: Any) -> list[pytest.MarkDecorator]:
+    """Say how a case that is not among the first is run: networks store volumes as float16, so float32 is thorough."""
+    is_thorough = isinstance(case, learned_checks.ConvolutionCase) and case.stored == "float32"
+    return [pytest.mark.thorough if is_thorough else pytest.mark.special] if place >= FIRST else []
+
+
 CELLS = [
-    pytest.param(operation, case, id=f"{operation}-{case}")
+    pytest.param(operation, case, id=f"{operation}-{case}", marks=marks_of(place, case))
     for operation in OPERATIONS
-    for case in INPUTS[operation.inputs][0]
+    for place, case in enumerate(INPUTS[operation.inputs][0])
 ]
 
 

@@ -6,29 +6,12 @@ from dataclasses import replace
 from typing import Any
 
 import checks
-import learned_checks
+import learned_checks as learned
 import numpy as np
 import pytest
 import smoothing_checks
 import solver_checks
 from checks import compute
-from learned_checks import (
-    CHOICE_CASES,
-    CONVOLUTION_CASES,
-    FACET_CASES,
-    PEAK_CASES,
-    SECTOR_CASES,
-    ChoiceCase,
-    ConvolutionCase,
-    FacetCase,
-    PeakCase,
-    SectorCase,
-    choice_inputs,
-    convolution_inputs,
-    facet_inputs,
-    peak_inputs,
-    sector_inputs,
-)
 from measuring_checks import GRAIN, MeasuringCase, measuring_inputs
 from range_search_checks import AGREEING, COSTS, DETAILS, DISTINCT, SHRINK, RangeSearchCase, range_search_inputs
 from resampling_checks import RESAMPLE, ResamplingCase, resampling_inputs
@@ -37,8 +20,8 @@ from test_reference import REFERENCE
 
 from lfgpu.contract import UNSEEN, sectors_of
 
-SMALL_SECTORS = [case for case in SECTOR_CASES if math.prod(case.size) * len(case.offsets) <= 1500]
-SMALL_LAYERS = [case for case in CONVOLUTION_CASES if math.prod(case.size) <= 240 and case.stored == "float32"]
+SMALL_SECTORS = [case for case in learned.SECTOR_CASES if math.prod(case.size) * len(case.offsets) <= 1500]
+SMALL_LAYERS = [case for case in learned.CONVOLUTION_CASES if math.prod(case.size) <= 240 and case.stored == "float32"]
 
 
 def cost_at(i, n: int, y: int, x: int, d: float) -> list[float] | None:
@@ -62,9 +45,9 @@ def cost_at(i, n: int, y: int, x: int, d: float) -> list[float] | None:
 
 
 @pytest.mark.parametrize("case", SMALL_SECTORS, ids=str)
-def test_costs_are_those_of_each_sector(case: SectorCase, rng: np.random.Generator) -> None:
-    i = sector_inputs(case, rng)
-    got = compute(REFERENCE, "cpu", learned_checks.SECTOR_COSTS, i)["costs"]
+def test_costs_are_those_of_each_sector(case: learned.SectorCase, rng: np.random.Generator) -> None:
+    i = learned.sector_inputs(case, rng)
+    got = compute(REFERENCE, "cpu", learned.SECTOR_COSTS, i)["costs"]
     for _ in range(12):
         label = int(rng.integers(len(got)))
         y, x = (int(rng.integers(2 * side)) for side in i.folded)
@@ -105,9 +88,9 @@ def test_sectors_and_references_are_in_order() -> None:
 
 
 @pytest.mark.parametrize("case", SMALL_LAYERS, ids=str)
-def test_convolution_is_that_of_each_voxel(case: ConvolutionCase, rng: np.random.Generator) -> None:
-    i = convolution_inputs(case, rng)
-    got = compute(REFERENCE, "cpu", learned_checks.CONVOLUTION, i)["result"]
+def test_convolution_is_that_of_each_voxel(case: learned.ConvolutionCase, rng: np.random.Generator) -> None:
+    i = learned.convolution_inputs(case, rng)
+    got = compute(REFERENCE, "cpu", learned.CONVOLUTION, i)["result"]
     for _ in range(12):
         place = [int(rng.integers(length)) for length in got.shape[:3]]
         want = i.bias.astype(np.float64).copy()
@@ -121,10 +104,10 @@ def test_convolution_is_that_of_each_voxel(case: ConvolutionCase, rng: np.random
         np.testing.assert_allclose(got[tuple(place)], np.maximum(want, 0) if case.rectified else want, atol=1e-9)
 
 
-@pytest.mark.parametrize("case", PEAK_CASES, ids=str)
-def test_peak_is_that_of_each_pixel(case: PeakCase, rng: np.random.Generator) -> None:
-    i = peak_inputs(case, rng)
-    got = compute(REFERENCE, "cpu", learned_checks.PEAK, i)
+@pytest.mark.parametrize("case", learned.PEAK_CASES, ids=str)
+def test_peak_is_that_of_each_pixel(case: learned.PeakCase, rng: np.random.Generator) -> None:
+    i = learned.peak_inputs(case, rng)
+    got = compute(REFERENCE, "cpu", learned.PEAK, i)
     for _ in range(20):
         y, x = (int(rng.integers(side)) for side in case.size)
         row = [float(logit) for logit in i.logits[:, y // 2, x // 2, 2 * (y % 2) + x % 2]]
@@ -438,11 +421,11 @@ def test_grain_is_that_of_windows_without_limits(rng: np.random.Generator) -> No
     assert 0 < got["grain_out known"].mean() < 1
 
 
-@pytest.mark.parametrize("case", CHOICE_CASES, ids=str)
-def test_features_and_choices_are_those_of_each_pixel(case: ChoiceCase, rng: np.random.Generator) -> None:
-    i = choice_inputs(case, rng)
-    features = compute(REFERENCE, "cpu", learned_checks.COMPARE_MAPS, i)["features"][0]
-    chosen = compute(REFERENCE, "cpu", learned_checks.CHOOSE, i)
+@pytest.mark.parametrize("case", learned.CHOICE_CASES, ids=str)
+def test_features_and_choices_are_those_of_each_pixel(case: learned.ChoiceCase, rng: np.random.Generator) -> None:
+    i = learned.choice_inputs(case, rng)
+    features = compute(REFERENCE, "cpu", learned.COMPARE_MAPS, i)["features"][0]
+    chosen = compute(REFERENCE, "cpu", learned.CHOOSE, i)
     for _ in range(20):
         y, x = (int(rng.integers(2 * side)) for side in i.folded)
         inside = min(y, case.size[0] - 1), min(x, case.size[1] - 1)
@@ -467,14 +450,14 @@ def test_features_and_choices_are_those_of_each_pixel(case: ChoiceCase, rng: np.
         assert chosen["variance"][inside] == pytest.approx(deviation**2)
 
 
-@pytest.mark.parametrize("case", FACET_CASES, ids=str)
+@pytest.mark.parametrize("case", learned.FACET_CASES, ids=str)
 def test_planes_are_those_of_least_squares_and_facets_the_best_of_them(
-    case: FacetCase, rng: np.random.Generator
+    case: learned.FacetCase, rng: np.random.Generator
 ) -> None:
-    i, reach = facet_inputs(case, rng), 2
+    i, reach = learned.facet_inputs(case, rng), 2
     height, width = case.size
-    found = compute(REFERENCE, "cpu", learned_checks.PLANES, i)
-    best = compute(REFERENCE, "cpu", learned_checks.FACETS, i)["facets"]
+    found = compute(REFERENCE, "cpu", learned.PLANES, i)
+    best = compute(REFERENCE, "cpu", learned.FACETS, i)["facets"]
     for _ in range(20):
         y, x = int(rng.integers(height)), int(rng.integers(width))
         near = [

@@ -9,6 +9,8 @@ import warp as wp
 from lfgpu.training import casting, scenes
 from lfgpu.training.textures import draw_textures
 
+pytestmark = pytest.mark.thorough
+
 SIDE = 48
 
 
