@@ -38,6 +38,20 @@ def test_what_the_alignment_moved_too_far_is_put_back() -> None:
     np.testing.assert_allclose(kernels.numpy(map_), want, atol=1e-6)
 
 
+def test_what_the_alignment_moved_is_drawn_back_by_what_the_matched_map_states() -> None:
+    """With a deviation of 0.1 px: small moves stay, one of 0.1 px is halved, large ones return nearly whole."""
+    lf, kernels = scenes.make("boxes", grid=(5, 5), size=(48, 48)), load("warp")
+    matching = MatchingPlan(lf.layout, Measured((-1.0, 1.0), 0.004, None), preset("learned"), Device(kernels, "cpu"))
+    moved = np.linspace(-0.8, 0.8, 48 * 48, dtype=np.float32).reshape(48, 48)
+    moved[0, :3] = 0.001, 0.1, -0.8
+    map_, matched, variance = (kernels.field(np.broadcast_to(x, (48, 48)), "cpu") for x in (0.1 + moved, 0.1, 0.01))
+    matching._alignment._weigh_matched(variance)
+    matching._alignment._draw_back(matched, map_)
+    found = kernels.numpy(map_) - 0.1
+    np.testing.assert_allclose(found, moved / (1 + (moved / 0.1) ** 2), atol=1e-6)
+    np.testing.assert_allclose(found[0, :3], (0.001, 0.05, -0.8 / 65), atol=1e-6)
+
+
 def test_a_turned_surface_has_no_depth_edges() -> None:
     """The floor and the sides of boxes change by more than a pixel in the farthest view from one pixel to the next."""
     lf = scenes.make("boxes", seed=3, grid=(9, 9), size=(96, 96), disparity_range=(-8.0, 8.0))

@@ -41,7 +41,8 @@ class Alignment:
         self.curvature = arena.field("curvature", frame.size)
         """The curvature of the views' differences at the map [y, x] of the last step."""
         with arena.scratch() as scratch:
-            self._slope, self._certainty, self._workspace, self._matched_weight = scratch.fields(4, frame.size)
+            self._slope, self._certainty, self._workspace = scratch.fields(3, frame.size)
+            self._variance, self._matched_weight = scratch.fields(2, frame.size)
 
     def load(self) -> None:
         """Take the views of a frame."""
@@ -79,7 +80,10 @@ class Alignment:
             kernels.axpby(1.0, map_out, 1.0, workspace, map_out)
             kernels.clamp(map_out, *self._bounds, map_out)
             if iteration == steps:
-                self.put_back(matched, map_out)
+                if variance is None:
+                    self.put_back(matched, map_out)
+                else:
+                    self._draw_back(matched, map_out)
             self._weigh_texture()
             if not wide:
                 self._fit_planes(map_out, support)
@@ -104,6 +108,20 @@ class Alignment:
         kernels.threshold(workspace, self._reach**2, workspace)
         kernels.select(workspace, matched, map_, map_)
 
+    def _draw_back(self, matched: Array, map_: Array) -> None:
+        """Give each pixel of a map its mean with where it was matched, weighted by inverse variances.
+
+        The matched map states its variance. In a reflection the views agree well beside the surface, so their curvature
+        says nothing of the error: the deviation of an aligned pixel is taken to be as large as its move.
+        """
+        kernels, moved, share = self._kernels, self._workspace, self._slope
+        kernels.axpby(1.0, map_, -1.0, matched, moved)
+        kernels.multiply(moved, moved, share)
+        kernels.axpby(1.0, share, 1.0, self._variance, share)
+        kernels.divide(self._variance, share, share)
+        kernels.multiply(share, moved, moved)
+        kernels.axpby(1.0, matched, 1.0, moved, map_)
+
     def _fit_planes(self, map_: Array, support: float) -> None:
         """Give each pixel of a map [y, x] its value on the plane through similar pixels that are certain."""
         workspace, ridge = self._workspace, self._tuning.ridge
@@ -113,8 +131,8 @@ class Alignment:
     def _weigh_matched(self, variance: Array) -> None:
         """Find the curvature of the log likelihood of the matched map, in units of that of the views."""
         kernels, weight = self._kernels, self._matched_weight
-        kernels.clamp(variance, (_SUREST / self._farthest) ** 2, np.inf, weight)
-        kernels.divide(self._prior.ones, weight, weight)
+        kernels.clamp(variance, (_SUREST / self._farthest) ** 2, np.inf, self._variance)
+        kernels.divide(self._prior.ones, self._variance, weight)
         kernels.axpby(self._of_matched, weight, 0.0, weight, weight)
 
     def _hold(self, matched: Array, map_: Array) -> None:
