@@ -178,7 +178,7 @@ def pytest_itemcollected(item: pytest.Item) -> None:
     in_browser = "browser" in getattr(item, "fixturenames", ())
     given = item.callspec.params if isinstance(item, pytest.Function) and hasattr(item, "callspec") else {}
     target = given.get("other", given.get("target"))
-    by_another = target is not None and target.backend not in (DEFAULT, "reference")
+    by_another = isinstance(target, Target) and target.backend not in (DEFAULT, "reference")
     special = by_another and item.get_closest_marker("special") is not None
     if special or (in_browser and item.path.name not in ("test_looking.py", "test_banner.py")):
         item.add_marker(pytest.mark.thorough)
