@@ -20,8 +20,8 @@ from lfgpu.methods import PRESETS, configured, method_of
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.dry_run import DryArray, DryKernels
 from lfgpu.methods.matching import aggregation, unet
-from lfgpu.methods.matching.choice import Choice
 from lfgpu.methods.matching.alignment import Alignment
+from lfgpu.methods.matching.choice import Choice
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.learned import BUILT_IN, NETWORK_REACH, VERSION, Network, read_weights
 from lfgpu.methods.matching.unet import Weights
