@@ -138,7 +138,7 @@ def test_soak_notices_frames_that_are_kept(monkeypatch: pytest.MonkeyPatch) -> N
         return outcome(*arguments)
 
     monkeypatch.setattr(soak, "_outcome", keeping)
-    if sys.platform == "linux":  # what earlier tests have freed goes back to the system, or frames would be kept there
+    if sys.platform == "linux":  # memory that earlier tests freed goes back, or the frames would fit into it
         getattr(ctypes.CDLL(None), "malloc_trim", lambda _: 0)(0)
     assert any("memory of the host grew" in problem for problem in soaked(800).problems)
 

@@ -55,7 +55,8 @@ class Alignment:
     ) -> None:
         """Align a matched map [y, x] by so many steps.
 
-        With its `variance` [y, x] it counts beside the views: each pixel goes to where both together are likeliest.
+        With its `variance` [y, x] it counts beside the views: each pixel goes to where both together are likeliest, and
+        then back by most of its way if it has moved farther than the map's deviation.
         """
         if variance is not None:
             self._weigh_matched(variance)
