@@ -207,10 +207,10 @@ def test_what_fails_after_an_interruption_is_not_its_cause(
 @pytest.mark.parametrize(
     ("error", "words"),
     [
-        (MemoryError(), "lfgpu: out of memory; use fewer views"),
+        (MemoryError(), "lfgpu: out of memory; use fewer or smaller views, --views cross or --max-memory."),
         (
             RuntimeError("Failed to allocate 123 bytes on device 'cuda:0'"),
-            "lfgpu: out of memory on the device; use fewer views",
+            "out of memory on the device; use fewer or smaller views, --views cross, --max-memory or --device cpu.",
         ),
         (
             RuntimeError("CUDA error 700: an illegal address"),
@@ -225,6 +225,11 @@ def test_errors_of_the_machine(
 ) -> None:
     monkeypatch.setattr("lfgpu.pipelines.estimate.estimate_depth", raising(error))
     refused(lfgpu("depth", recorded, "-o", out), words)
+
+
+def test_memory_is_saved_by_options_that_the_command_has(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("lfgpu.scenes.make", raising(MemoryError()))
+    refused(lfgpu("scene", "boxes", "-o", out), "out of memory; use fewer or smaller views.")
 
 
 def test_full_disk_leaves_nothing(recorded: Path, out: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,7 +7,7 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -19,8 +19,7 @@ from lfgpu.printable import message, printable
 
 _FAILED, _INTERRUPTED = 1, 130  # 130: the exit code of shells after Ctrl-C
 _INTERRUPTION = "interrupted; outputs are whole or not there."
-_MEMORY = "out of memory; use fewer views (--views cross) or smaller ones."
-_DEVICE_MEMORY = "out of memory on the device; use fewer views (--views cross), --max-memory or --device cpu."
+_LESS_MEMORY = ("--views cross", "--max-memory", "--device cpu")  # options, where the command has them
 
 _COMMAND = "lfgpu.command"
 _AGAIN = 0.2  # seconds after which Ctrl-C comes again that was lost
@@ -52,7 +51,8 @@ class Group(TyperGroup):
         except (Exception, KeyboardInterrupt) as error:
             if is_interruption(error):
                 raise self._exit(_INTERRUPTION, _INTERRUPTED) from None
-            sentence = _sentence(error)
+            command = self.commands.get(ctx.invoked_subcommand)
+            sentence = _sentence(error, {name for known in (command.params if command else ()) for name in known.opts})
             if sentence is None:
                 raise
             raise self._exit(sentence, _FAILED) from error
@@ -92,12 +92,12 @@ def _interruptions_arrive() -> Iterator[None]:
         sys.unraisablehook = before
 
 
-def _sentence(error: BaseException) -> str | None:
-    """Return the sentence about an error; None if it is a bug."""
+def _sentence(error: BaseException, options: set[str]) -> str | None:
+    """Return the sentence about an error of a command that has some options; None if it is a bug."""
     if isinstance(error, LfgpuError):
         return str(error)
     if isinstance(error, MemoryError):
-        return _MEMORY
+        return _out_of_memory("", _LESS_MEMORY[:2], options)
     if isinstance(error, OSError):
         # A reader such as `head` that closes the pipe is no error: typer ends quietly.
         if error.errno == errno.EPIPE:
@@ -105,7 +105,12 @@ def _sentence(error: BaseException) -> str | None:
         reason = error.strerror or str(error) or type(error).__name__
         return f"{error.filename}: {reason}." if error.filename else f"{reason}."
     if "Failed to allocate" in str(error):  # the message of Warp
-        return _DEVICE_MEMORY
+        return _out_of_memory(" on the device", _LESS_MEMORY, options)
     if "CUDA error" in str(error):
         return f"the GPU failed ({str(error).rstrip('.')}); run the command again, or with --device cpu."
     return None
+
+
+def _out_of_memory(where: str, remedies: Sequence[str], options: set[str]) -> str:
+    ways = ["fewer or smaller views", *(remedy for remedy in remedies if remedy.split()[0] in options)]
+    return f"out of memory{where}; use {', '.join(ways[:-1])}{' or ' * (len(ways) > 1)}{ways[-1]}."
