@@ -10,6 +10,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -18,6 +19,7 @@ from command_line import lfgpu
 from PIL import Image
 
 from lfgpu import LightField, LightFieldError, scenes
+from lfgpu.batch.cluster import BatchError
 from lfgpu.batch.items import ERROR_FILE, MANIFEST_FILE, PREVIEW_FILE, VIEW_FILE, Item, find_items
 from lfgpu.batch.manifest import DONE, FAILED, Manifest, damaged_lines, key_of, read_manifest, standing
 from lfgpu.batch.report import facts, write_report
@@ -115,6 +117,15 @@ def test_keys_tell_parameters() -> None:
         )
     }
     assert len(keys) == 5
+
+
+def test_only_items_are_counted_that_the_disk_has_no_room_for(
+    scene_folders: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Manifest, "_flush", lambda _: None)
+    cluster = MagicMock(run=lambda sequences, done, _: done([{"item": sequences[0][0].item.name, "status": DONE}]))
+    with pytest.raises(BatchError, match="lacks 1 of the items that are done"):
+        Batch(find_items([str(scene_folders)], sequence=False)[0], tmp_path, FAST).run(cluster)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGXFSZ"), reason="files cannot be limited in size here")

@@ -139,8 +139,8 @@ class Manifest:
         self._path, self._lock_path = folder / MANIFEST_FILE, folder / LOCK_FILE
         self._file: IO[bytes] | None = None
         self._lock: IO[bytes] | None = None
-        self.unwritten: list[bytes] = []
-        """Lines that could not be written because the disk was full; they are tried again with the next one."""
+        self.unwritten: list[Mapping[str, Any]] = []
+        """Entries that could not be written because the disk was full; they are tried again with the next one."""
 
     def __enter__(self) -> Self:
         try:
@@ -171,14 +171,14 @@ class Manifest:
 
     def add(self, entries: Iterable[Mapping[str, Any]]) -> None:
         """Write lines; if the disk is full, they are kept in `unwritten`."""
-        self.unwritten += [_line(entry) for entry in entries]
+        self.unwritten += entries
         self._flush()
 
     def _flush(self) -> None:
         assert self._file is not None
         written = False
         while self.unwritten:
-            line, end = self.unwritten[0], self._file.seek(0, os.SEEK_END)
+            line, end = _line(self.unwritten[0]), self._file.seek(0, os.SEEK_END)
             if end and not written and not self._ends_a_line(end):
                 line = b"\n" + line  # a crash left an incomplete line
             try:

@@ -91,8 +91,9 @@ class Batch:
                 finally:
                     summary.seconds = time.perf_counter() - start
         if manifest.unwritten:
+            lost = sum("item" in entry for entry in manifest.unwritten)
             raise BatchError(
-                f"the disk is full: the manifest in {out} lacks {len(manifest.unwritten)} items that are done; free "
+                f"the disk is full: the manifest in {out} lacks {lost} of the items that are done; free "
                 "some space and run the same command again, which repeats them."
             )
         self._check_there()
