@@ -181,7 +181,8 @@ def rectify(
         lf = _with_truth(rig.light_field(pictures), pictures, rig)
     elif not model and not tones:
         raise LightFieldError(
-            f"{source} has no calibration beside it; name one, or line the views up by what they show."
+            f"{source} has no calibration beside it; name one (--calibration, or calibration=), or line the views up "
+            "by what they show (--refine, or model=)."
         )
     if model is None and not tones:
         return Rectified(_looked_at_again(lf, pictures), rig, None, disparity_range)

@@ -336,3 +336,9 @@ def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None
     np.testing.assert_array_equal(back.valid, found.light_field.valid)
     np.testing.assert_allclose(back.offsets, found.light_field.offsets)
     assert back.truth is not None
+
+
+def test_without_calibration_the_options_are_named() -> None:
+    lf = lfgpu.LightField.from_grid(np.zeros((1, 2, 8, 8), np.uint8))
+    with pytest.raises(LightFieldError, match=r"--calibration, .*--refine, "):
+        rectify(lf)
