@@ -203,6 +203,8 @@ def test_maps_are_kept_when_recording_fails(tmp_path: Path, monkeypatch: pytest.
         (["grabber_for_tests:missing"], "cannot be imported"),
         (["no_such_module:frames"], "cannot be imported"),
         (["planes", "--policy=queue:x"], "--policy must be latest, block or queue:N"),
+        (["planes", "--policy=queue:0"], "--policy must be latest, block or queue:N"),
+        (["planes", "--policy=latest:5"], "--policy must be latest, block or queue:N"),
         (["planes", "--preset=paper", "--size=32x32", "--grid=3x3"], "synthesis cannot"),
     ],
 )

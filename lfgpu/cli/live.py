@@ -162,8 +162,9 @@ def live(
             check_writable(folder)
     if recording is not None and next(recording.glob("frame_*"), None) is not None:
         raise LightFieldError(f"{recording} holds frames already, which would mix with new ones; name a new folder.")
-    if max_fps is not None and not (max_fps > 0 and math.isfinite(max_fps)):
-        raise typer.BadParameter("the rate must be a number above 0.", param_hint="--max-fps")
+    for option, value in (("--max-fps", max_fps), ("--budget", budget)):
+        if value is not None and not (value > 0 and math.isfinite(value)):
+            raise typer.BadParameter("it must be a number above 0.", param_hint=option)
     if like is not None and rectify is not None:
         raise typer.BadParameter("leave it out: what --rectify names says where the cameras are.", param_hint="--like")
     config = parameters.config()

@@ -46,14 +46,19 @@ def parse_size(option: str, text: str | None, what: str) -> tuple[int, int] | No
 
 def parse_policy(option: str, text: str | None) -> tuple[str, int | None] | None:
     """Parse a policy from text: "latest", "block" or "queue:8" as (name, number of waiting frames or None)."""
-    from lfgpu.pipelines.inbox import POLICIES
+    from lfgpu.pipelines.inbox import most_waiting
 
     if text is None:
         return None
     name, colon, count = text.partition(":")
-    if name not in POLICIES or (colon and not count.isdecimal()):
-        raise LightFieldError(f"{option} must be latest, block or queue:N such as queue:8, not {text!r}.")
-    return name, int(count) if colon else None
+    try:
+        waiting = int(count) if colon else None
+        most_waiting(name, waiting)
+    except ValueError as error:  # and LightFieldError, which is one
+        raise LightFieldError(
+            f"{option} must be latest, block or queue:N such as queue:8, N from 1 to 1000, not {text!r}."
+        ) from error
+    return name, waiting
 
 
 def numbers(option: str, text: str, separator: str, what: str) -> tuple[float, float]:
