@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ VIEWS_FILE = "disparities.npz"
 REPORT_FILE = "report.html"
 """The page about a result, about a batch or about a comparison."""
 
+_NOT_DISPARITY = re.compile(r"(?<![^\W_])(depth|confidence)(?![^\W_])", re.IGNORECASE)  # as a word of a name
 
 Whole: TypeAlias = DepthResult | ViewsResult
 OneMap: TypeAlias = DepthResult | DisparityMap
@@ -203,6 +205,11 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
             )
         path = file
     chosen = readable_format(path)
+    if path.suffix.lower() == ".pfm" and (other := _NOT_DISPARITY.search(path.stem)):
+        raise LightFieldError(
+            f"{path} is {other[0].lower()} by its name, the only thing that says what a PFM holds, but a map has to be "
+            f"disparity: give {DISPARITY_FILE} or the folder of the result; rename it if it is disparity."
+        )
     whole = None if chosen.read_whole is None else chosen.read_whole(path)
     return whole if whole is not None else _map(path, chosen)
 

@@ -165,6 +165,13 @@ def test_a_folder_that_depth_wrote(tmp_path: Path) -> None:
 # --- what is a map and what a light field ---
 
 
+@pytest.mark.parametrize("name", ["depth", "original_depth", "confidence_000003"])
+def test_a_pfm_of_something_else_is_not_taken_for_disparity(name: str, tmp_path: Path) -> None:
+    save(a_map(), tmp_path / f"{name}.pfm")
+    assert "by its name" in refusal(lambda: load(tmp_path / f"{name}.pfm"))
+    read_map(tmp_path / f"{name}.pfm")  # in the unit of the file
+
+
 def test_light_fields_with_suffixes_of_maps_are_none(tmp_path: Path) -> None:
     views = np.zeros((2, 2, *SHAPE, 3), np.uint8)
     np.save(tmp_path / "views.npy", views)
