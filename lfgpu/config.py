@@ -44,6 +44,8 @@ class Section:
                 raise LightFieldError(f"{f.name} must be from {meta['low']:g} to {meta['high']:g}, not {value:g}.")
             elif meta["odd"] and value % 2 == 0:
                 raise LightFieldError(f"{f.name} must be odd, not {value:g}.")
+            else:  # also a number of NumPy, which no file holds
+                object.__setattr__(self, f.name, int(value) if isinstance(value, Integral) else float(value))
 
     def within(self, **values: float) -> Self:
         """Return a copy with some numbers changed, as far as their ranges go."""

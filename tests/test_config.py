@@ -4,6 +4,7 @@ import dataclasses
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lfgpu.config import Config, Section, parameters
@@ -117,6 +118,12 @@ def test_text_that_is_no_number_or_no_whole_one_is_refused() -> None:
         assert refusal({"prior.window": text}) == f"prior.window must be a number, not {text!r}."
     for text in ("7.5", "inf", "nan", "1e400"):
         assert "window" in refusal({"prior.window": text})
+
+
+def test_numbers_of_numpy_become_those_that_files_hold() -> None:
+    config = preset("fast").with_values({"sweep.step": np.float32(0.5), "alignment.iterations": np.int64(3)})
+    assert type(value_of(config, "sweep.step")) is float
+    assert type(value_of(config, "alignment.iterations")) is int
 
 
 UNKNOWN = ["window", "prior.", "prior.windows", "priors.window", "", "prior.window.x", "local", "with_values.window"]
