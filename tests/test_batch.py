@@ -24,18 +24,7 @@ import distributed
 import imageio.v3 as iio
 import numpy as np
 import pytest
-from batch_runs import (
-    FAST,
-    QUICK,
-    ROOT,
-    SLOW,
-    assert_nothing_left_over,
-    assert_same_maps,
-    jobs,
-    local,
-    pids,
-    wait_for,
-)
+from batch_runs import FAST, QUICK, ROOT, SLOW, assert_nothing_left_over, assert_same_maps, jobs, local, pids, wait_for
 from command_line import lfgpu
 from distributed.security import Security
 

@@ -149,7 +149,7 @@ def test_render_reads_as_depth_does(recorded: Path, loose: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "name", [name if name in ("fast", "paper") else pytest.param(name, marks=pytest.mark.thorough) for name in PRESETS]
+    "name", [name if name == "fast" else pytest.param(name, marks=pytest.mark.thorough) for name in PRESETS]
 )
 def test_render_with_any_preset(name: str, recorded: Path, tmp_path: Path) -> None:
     said("render", recorded, "--view", "1,0.5", "-o", tmp_path / f"{name}.png", "--preset", name, *RANGE, "-q")

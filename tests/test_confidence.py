@@ -53,7 +53,7 @@ def test_misregistered_views_lower_the_confidence() -> None:
     assert bad.uncertainty.mean() > 2 * good.uncertainty.mean()  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("preset", ["fast", "accurate"])
+@pytest.mark.parametrize("preset", ["fast", pytest.param("accurate", marks=pytest.mark.thorough)])
 def test_a_plain_surface_far_from_texture_is_not_believed(preset: str) -> None:
     """Nor because no view sees what is behind it: it is not known where it is."""
     lf = scenes.make("relief", grid=(7, 7), size=(96, 104))
@@ -243,7 +243,7 @@ def hole(lf: LightField) -> np.ndarray:
     return ~lf.valid[lf.reference_index]
 
 
-@pytest.mark.parametrize("config", ["accurate", "fast", "paper"])
+@pytest.mark.parametrize("config", ["accurate", "fast", pytest.param("paper", marks=pytest.mark.thorough)])
 def test_masked_pixels_of_the_reference_are_nan_in_all_maps(config: str, target: Any) -> None:
     lf = masked()
     result = lfgpu.estimate_depth(

@@ -111,7 +111,7 @@ def test_any_view_may_be_the_reference() -> None:
     assert result.position == (place[1], place[0])
 
 
-@pytest.mark.parametrize("pattern", ["star", "column"])
+@pytest.mark.parametrize("pattern", [pytest.param("star", marks=pytest.mark.thorough), "column"])
 def test_some_of_the_views_are_enough(pattern: str) -> None:
     lf = relief().subset(pattern)
     assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refine"].rmse < 0.035
@@ -156,7 +156,7 @@ def mirrored(lf: LightField) -> LightField:
 
 
 @pytest.mark.parametrize(
-    ("turn", "back"), [(transposed, np.transpose), (mirrored, np.fliplr)], ids=["transposed", "mirrored"]
+    ("turn", "back"), [(transposed, np.transpose), pytest.param(mirrored, np.fliplr, marks=pytest.mark.thorough)]
 )
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
     one, other = upright(), estimate_depth(turn(small()), disparity_range=RANGE)
@@ -258,7 +258,7 @@ def test_energy_falls_and_convergence_is_said() -> None:
     ("name", "near", "scene"),
     [
         ("paper", 3e-3, "boxes"),
-        ("paper-exact", 1e-3, "relief"),
+        pytest.param("paper-exact", 1e-3, "relief", marks=pytest.mark.thorough),
         pytest.param("paper", 3e-3, "relief", marks=pytest.mark.thorough),
         pytest.param("paper-exact", 1e-3, "boxes", marks=pytest.mark.thorough),
     ],

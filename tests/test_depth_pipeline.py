@@ -55,7 +55,10 @@ def assert_same(one: np.ndarray, other: np.ndarray, target: Any) -> None:
         assert np.nanquantile(np.abs(one - other), 0.95) <= SAME
 
 
-@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
+WHOLE_OR_DAMAGED = [pytest.param(False, marks=pytest.mark.thorough, id="whole"), pytest.param(True, id="damaged")]
+
+
+@pytest.mark.parametrize("damaged", WHOLE_OR_DAMAGED)
 def test_runs_again_give_the_same_map(target: Any, damaged: bool) -> None:
     """On a GPU the second and third are captured ones."""
     pipeline = made(scene(damaged=damaged), target)
@@ -79,7 +82,7 @@ def test_a_result_copies_each_map_once(config: Any, monkeypatch: pytest.MonkeyPa
     assert not np.shares_memory(last, result.disparity)
 
 
-@pytest.mark.parametrize("damaged", [False, True], ids=["whole", "damaged"])
+@pytest.mark.parametrize("damaged", WHOLE_OR_DAMAGED)
 def test_other_views_give_what_a_fresh_pipeline_gives(target: Any, damaged: bool) -> None:
     fields = [scene(seed, damaged=damaged) for seed in range(3)]
     pipeline = made(fields[0], target)

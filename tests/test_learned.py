@@ -74,7 +74,7 @@ def test_backends_give_the_maps_of_the_reference(
         assert near.mean() >= 0.95, (name, near.mean(), np.abs(one - other).max())
 
 
-@pytest.mark.parametrize("stored", [np.float32, np.float16])
+@pytest.mark.parametrize("stored", [pytest.param(np.float32, marks=pytest.mark.thorough), np.float16])
 def test_rows_at_a_time_give_the_bits_of_whole_volumes(
     stored: type, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

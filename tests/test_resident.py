@@ -59,10 +59,21 @@ def assert_equal(one: DepthResult, other: DepthResult) -> None:
 
 @pytest.mark.parametrize(
     ("config", "given", "masked"),
-    [("fast", GIVEN, True), ("accurate", None, True), ("learned", None, False), ("surest", None, True),
-     ("paper", None, False), pytest.param("accurate", GIVEN, False, marks=pytest.mark.thorough),
-     pytest.param("paper", GIVEN, True, marks=pytest.mark.thorough)],
-)  # fmt: skip
+    [
+        ("fast", GIVEN, True),
+        ("surest", None, True),  # which has the parts of accurate and learned
+        ("paper", None, False),
+        *(
+            pytest.param(*case, marks=pytest.mark.thorough)
+            for case in (
+                ("accurate", None, True),
+                ("accurate", GIVEN, False),
+                ("learned", None, False),
+                ("paper", GIVEN, True),
+            )
+        ),
+    ],
+)
 def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, given: Any, masked: bool) -> None:
     if not target.kernels.is_deterministic(target.device):
         pytest.skip("its maps differ from run to run")
@@ -81,7 +92,7 @@ def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, 
         assert len(KEPT._kept) == 1
 
 
-@pytest.mark.parametrize("config", ["fast", "accurate", "surest"])
+@pytest.mark.parametrize("config", ["fast", pytest.param("accurate", marks=pytest.mark.thorough), "surest"])
 def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their ranges, numbers of disparities, noises and penalties differ; a capture is faked, as a CPU has none."""
     fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005))]

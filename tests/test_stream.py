@@ -54,7 +54,7 @@ def test_warm_maps_are_near_the_cold_ones_and_flicker_less() -> None:
     assert error(warm) < 1.15 * error(cold)
 
 
-@pytest.mark.parametrize("config", ["accurate", "fast"])
+@pytest.mark.parametrize("config", ["accurate", pytest.param("fast", marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2))])
 def test_the_past_is_not_believed_where_the_reference_view_shows_something_else(seed: int, config: str) -> None:
     """Half of the views is of another scene in the last frame: there its map is as right as one of this frame alone.

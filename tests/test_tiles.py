@@ -410,7 +410,7 @@ def resident_of_files() -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is in memory is measured as Linux counts it")
-@pytest.mark.parametrize("dtype", [np.uint8, np.float32])
+@pytest.mark.parametrize("dtype", [np.uint8, pytest.param(np.float32, marks=pytest.mark.thorough)])
 def test_what_was_looked_at_is_forgotten(dtype: type, tmp_path: Path) -> None:
     """When the light field is read, shrunk, and cut into tiles, of which the pages hold far more than the pixels."""
     rng = np.random.default_rng(0)

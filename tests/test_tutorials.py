@@ -35,8 +35,14 @@ class Block:
     line: int
 
 
-def blocks(page: Path) -> Iterator[Block]:
+SMALLER = {"--grid 7x7 --size 96x128": "--grid 3x3 --size 96x128", "--size 144x192": "--size 64x80"}
+"""The light fields of pages, and those that `make test` has in their place; `make test-all` takes pages as they are."""
+
+
+def blocks(page: Path, *, quick: bool = False) -> Iterator[Block]:
     text = page.read_text(encoding="utf-8")
+    for size, smaller in SMALLER.items() if quick else ():
+        text = text.replace(size, smaller)
     for found in _FENCE.finditer(text):
         body, options = found[3], {}
         while option := _OPTION.match(body):
@@ -58,11 +64,11 @@ def run_commands(block: Block, page: Path) -> None:
         assert outcome.exit_code == wanted, f"{page.name}: {line}\n{outcome.output}{outcome.exception!r}"
 
 
-def follow(page: Path) -> int:
+def follow(page: Path, *, quick: bool = False) -> int:
     """Do what a page says; the number of its blocks that were run."""
     names: dict[str, Any] = {"__name__": "__main__"}
     done = 0
-    for block in blocks(page):
+    for block in blocks(page, quick=quick):
         if "caption" in block.options:
             Path(block.options["caption"]).write_text(block.code, encoding="utf-8")
         elif block.language == "console":
@@ -75,13 +81,22 @@ def follow(page: Path) -> int:
     return done
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if page.stem != "index"], ids=lambda page: page.stem)
-def test_what_a_page_says_works(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def cases() -> Iterator[Any]:
+    for page in PAGES:
+        text, name = page.read_text(encoding="utf-8"), page.stem
+        if name != "index":
+            yield pytest.param(page, True, id=name)
+        if any(size in text for size in SMALLER):
+            yield pytest.param(page, False, id=f"{name}, in full size", marks=pytest.mark.thorough)
+
+
+@pytest.mark.parametrize(("page", "quick"), cases())
+def test_what_a_page_says_works(page: Path, quick: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", *sys.path])  # as where `lfgpu` is started
     quick = tuple(info for info in checkup.describe_backends() if info.name != "taichi")  # its start takes seconds
     monkeypatch.setattr(checkup, "describe_backends", lambda: quick)
-    assert follow(page) == len(_OPENED.findall(page.read_text(encoding="utf-8"))) >= 2
+    assert follow(page, quick=quick) == len(_OPENED.findall(page.read_text(encoding="utf-8"))) >= 2
 
 
 def test_a_page_that_does_not_work_fails(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -27,7 +27,7 @@ Said = tuple[tuple[str, ...], tuple[str, ...]]
 
 @cache
 def right() -> LightField:
-    return scenes.make("boxes", grid=(5, 5), size=(96, 112), seed=3, noise=0.004)
+    return scenes.make("boxes", grid=(3, 3), size=(96, 112), seed=3, noise=0.004)
 
 
 @cache
@@ -37,7 +37,7 @@ def askew() -> LightField:
 
 @cache
 def blank() -> LightField:
-    return replace(LightField.from_grid(noise_in_a_row((25, 96, 112, 3), 0, 1).reshape(5, 5, 96, 112, 3)), name="blank")
+    return replace(LightField.from_grid(noise_in_a_row((9, 96, 112, 3), 0, 1).reshape(3, 3, 96, 112, 3)), name="blank")
 
 
 FAULTS: dict[str, tuple[Callable[[], LightField], tuple[float, float], str, str]] = {

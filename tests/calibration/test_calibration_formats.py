@@ -180,11 +180,7 @@ LAUGHS = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9) if n else '1'}]\n
         ("yaml", "[" * 5000, "not valid YAML"),
         ("yaml", "left: {K: 2001-01-01, image_size: [4, 4]}", "numbers were expected, found datetime"),
         ("yaml", "left: {K: !!opencv-matrix {rows: 3}, image_size: [4, 4]}", "a matrix without data"),
-        (
-            "yaml",
-            "left: {K: !!opencv-matrix {rows: 99999999, cols: 9, data: [1]}, image_size: [4, 4]}",
-            "99999999 x 9",
-        ),
+        ("yaml", "left: {K: !!opencv-matrix {rows: 99999999, cols: 9, data: [1]}, image_size: [4, 4]}", "99999999 x 9"),
         ("yaml", "left: {K: [1, 2], image_size: [4, 4]}", "9 numbers were expected, found 2"),
         ("yaml", "left: {K: [" + "1" * 400 + ", 0, 0, 0, 0, 0, 0, 0, 0], image_size: [4, 4]}", "were expected, found"),
         ("yaml", "left: !!python/object/apply:os.getcwd []", "not valid YAML"),
@@ -205,11 +201,7 @@ LAUGHS = "".join(f"a{n}: &a{n} [{', '.join([f'*a{n - 1}'] * 9) if n else '1'}]\n
             '{"left": {"K": {"type_id": "opencv-matrix", "rows": -1, "cols": 3, "data": []}, "image_size": [4, 4]}}',
             "-1",
         ),
-        (
-            "json",
-            '{"left": {"K": [[5, 0, 2], [0, 5, 2], [0, 0, 1]], "image_size": [1e9, 4]}}',
-            "no camera has",
-        ),
+        ("json", '{"left": {"K": [[5, 0, 2], [0, 5, 2], [0, 0, 1]], "image_size": [1e9, 4]}}', "no camera has"),
         (
             "json",
             '{"left": {"K": [1, 0, 0, 0, 1, 0, 0, 0, 1], "R": [1, 0, 0, 0, 1, 0, 0, 0, -1], "image_size": [4, 4]}}',

@@ -41,9 +41,7 @@ def out_of_line(boxes: LightField) -> LightField:
     return disturb(boxes, Misalignment(shift=0.5), seed=1).light_field
 
 
-def test_what_is_wrong_with_all_cameras_is_seen_at_a_glance(boxes: LightField, out_of_line: LightField) -> None:
-    assert glance(boxes) is None
-    assert "out of line by 0." in str(glance(out_of_line))
+def test_what_is_wrong_with_all_cameras_is_seen_at_a_glance(boxes: LightField) -> None:
     assert "differ in brightness" in str(glance(disturb(boxes, Misalignment(gain=0.15), seed=1).light_field))
     flipped = replace(boxes, positions=boxes.positions * (1, -1), grid_shape=None, truth=None, geometry=None)
     assert "opposite senses" in str(glance(flipped))
@@ -57,7 +55,13 @@ def test_nothing_is_seen_of_single_views_or_nothing(boxes: LightField, rng: np.r
     assert glance(LightField.from_grid(rng.integers(0, 255, (3, 3, 64, 64), dtype=np.uint8))) is None
 
 
-@pytest.mark.parametrize("name", ["lytro_2067", "stillLife_3x3", "population/C_fence"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "lytro_2067",
+        *(pytest.param(name, marks=pytest.mark.thorough) for name in ("stillLife_3x3", "population/C_fence")),
+    ],
+)
 def test_real_cameras_raise_no_alarm(name: str) -> None:
     assert glance(lfgpu.read(real_data(name))) is None
 
@@ -84,7 +88,7 @@ def test_info_says_it(boxes: LightField, out_of_line: LightField, tmp_path: Path
     for name, lf in (("moved", out_of_line), ("right", boxes)):
         write_hci(lf, tmp_path / name)
         said.append(" ".join(command("info", tmp_path / name).out.split()))
-    assert "cameras the views are out of line" in said[0]
+    assert "cameras the views are out of line by 0." in said[0]
     assert "out of line" not in said[1]
 
 
@@ -124,7 +128,14 @@ def test_all_cameras_together_are_worth_it(boxes: LightField, how: str) -> None:
 
 
 @pytest.mark.parametrize("preset", ["fast", pytest.param("accurate", marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("matrix", [((1, 0), (0, -1)), ((-1, 0), (0, -1)), ((0, 1), (1, 0))])
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        pytest.param(((1, 0), (0, -1)), marks=pytest.mark.thorough),
+        pytest.param(((-1, 0), (0, -1)), marks=pytest.mark.thorough),
+        ((0, 1), (1, 0)),
+    ],
+)
 def test_wrong_axes_are_worth_it(
     boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], preset: str
 ) -> None:
@@ -210,7 +221,7 @@ def said(result: DepthResult) -> float:
     return float(result.confidence[INNER].mean())
 
 
-@pytest.mark.parametrize("how", ["shift=0.5", "roll=0.7"])
+@pytest.mark.parametrize("how", [pytest.param("shift=0.5", marks=pytest.mark.thorough), "roll=0.7"])
 def test_confidence_falls_to_what_is_true_where_cameras_are_off(how: str) -> None:
     before, after = looked_at(how)
     assert len(after.remarks) == 1

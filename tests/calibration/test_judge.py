@@ -49,7 +49,7 @@ def said_of(boxes: LightField, index: int, change: Callable[[np.ndarray], np.nda
     return found, sentence
 
 
-@pytest.mark.parametrize(("index", "shift"), [(3, (0.2, 0.0)), (12, (0.0, -0.2)), (20, (-0.15, 0.15))])
+@pytest.mark.parametrize(("index", "shift"), [(12, (-0.2, -0.2)), (20, (0.15, 0.15))])
 def test_a_view_that_is_moved_is_named_with_its_direction(
     boxes: LightField, index: int, shift: tuple[float, float]
 ) -> None:
@@ -62,7 +62,9 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
     assert np.abs(others).max() < 0.05
 
 
-@pytest.mark.parametrize(("index", "shift"), [(3, (2, 0)), (0, (-15, 9)), (20, (0, 45))])
+@pytest.mark.parametrize(
+    ("index", "shift"), [pytest.param(3, (2, 0), marks=pytest.mark.thorough), (0, (-15, 9)), (20, (0, 45))]
+)
 def test_a_view_that_is_far_off_is_found_where_it_is(boxes: LightField, index: int, shift: tuple[int, int]) -> None:
     """All its points are outliers there: steps from where it should be do not reach it. Half of the picture is far."""
     found, _ = said_of(boxes, index, lambda image: np.roll(image, shift, axis=(1, 0)))
@@ -97,7 +99,14 @@ def test_of_exchanged_views_only_the_one_that_is_tried_has_another_misfit(
     assert [np.flatnonzero(changed).tolist() for changed in tried] == [[0], [24]]
 
 
-@pytest.mark.parametrize("change", [lambda image: 0 * image, lambda image: image[::-1], lambda image: 255 - image])
+@pytest.mark.parametrize(
+    "change",
+    [
+        pytest.param(lambda image: 0 * image, marks=pytest.mark.thorough, id="black"),
+        pytest.param(lambda image: image[::-1], id="upside down"),
+        pytest.param(lambda image: 255 - image, marks=pytest.mark.thorough, id="negative"),
+    ],
+)
 def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     wrong = with_view(boxes, 6, change)
     before = lfgpu.estimate_depth(wrong, config="fast", check_cameras=False)
@@ -123,17 +132,12 @@ def test_cameras_of_a_line_along_the_other_axis_are_named(line: str) -> None:
 
 def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     turned = with_view(boxes, 6, lambda image: displaced(image, degrees=0.2))
-    found = lfgpu.explain(turned, truth(turned))
+    found = lfgpu.explain(with_view(turned, 8, lambda image: 0.92 * image), truth(boxes))
     assert found.rotation[6] == pytest.approx(0.2, abs=0.03)
-    assert any("row 1, column 1" in sentence and "clockwise" in sentence for sentence in found.findings)
-
-    dark = with_view(boxes, 8, lambda image: 0.92 * image)
-    found = lfgpu.explain(dark, truth(dark))
     np.testing.assert_allclose(found.gain[8], 0.92, atol=0.01)
-    (sentence,) = found.findings
-    assert "row 1, column 3 is 8" in sentence
-    assert "darker" in sentence
-
+    assert len(found.findings) == 2
+    assert any("row 1, column 1" in sentence and "clockwise" in sentence for sentence in found.findings)
+    assert any("row 1, column 3 is 8" in sentence and "darker" in sentence for sentence in found.findings)
     exposed = with_view(boxes, 8, lambda image: 0.5 * image)
     (sentence,) = lfgpu.explain(exposed, truth(exposed)).findings
     assert "row 1, column 3 is 50 % darker" in sentence
@@ -143,8 +147,8 @@ def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     ("matrix", "signs", "irregular"),
     [
         (((1, 0), (0, -1)), "v", False),
-        (((-1, 0), (0, -1)), "uv", True),
-        (((0, 1), (1, 0)), "transposed", False),
+        pytest.param(((-1, 0), (0, -1)), "uv", True, marks=pytest.mark.thorough),
+        pytest.param(((0, 1), (1, 0)), "transposed", False, marks=pytest.mark.thorough),
         (((0, 1), (-1, 0)), "turned", True),
     ],
 )

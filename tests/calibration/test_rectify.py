@@ -182,6 +182,7 @@ def test_refinement_lines_views_up(boxes: LightField) -> None:
     assert found.light_field.grid_shape == (3, 3)
 
 
+@pytest.mark.thorough
 def test_cameras_off_by_pixels_are_found_in_small_pictures() -> None:
     """Twelve cameras in no grid; without smooth pictures at first, some of them end two pixels beside."""
     lf = scenes.make("boxes", grid=(9, 9), size=(128, 128), seed=7, noise=0.004)

@@ -1,6 +1,6 @@
 """Light fields told in other words: each is read as what it is, or refused, or a note says what is wrong with it.
 
-    python -m tests.io.meanings --examples 5000 --seed 1 [--processes 2] [--summary counts.json]
+    python -m tests.io.meanings --examples 5000 --seed 1 [--processes 2]
 
 Each example takes a small scene, whose views and cameras are known, and writes it in one of many ways that mean the
 same: other names, folders, axes, orders, orientations, masks, kinds of values, many files or one. A quarter contradict
@@ -9,7 +9,6 @@ is compared with the scene: which view is whose picture, where its camera stands
 """
 
 import argparse
-import json
 import multiprocessing
 import re
 import sys
@@ -30,19 +29,14 @@ from lfgpu import scenes
 from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
+from tests.io.mutations import pick
 
 Random = np.random.Generator
 LIES = ("transposed", "flipped", "alternating", "upside down", "one picture", "turned")
 """Ways to contradict: words for the other axis, columns from the right, every second row from the right, some pictures
 upside down, all pictures equal, all pictures turned by 90 degrees."""
-WARNINGS = (
-    "By their parallax",
-    "the same picture",
-    "upside down",
-    "does not look like",
-    "from the place of",
-    "no parallax",
-    "repeat in the picture",
+WARNINGS = re.compile(
+    "By their parallax|the same picture|upside down|does not look like|from the place of|no parallax|repeat in the pic"
 )
 """Words of the notes on contradictions."""
 _SIZE, _GRID, _SCENES = (72, 88), 5, 6
@@ -99,10 +93,6 @@ class Told:
     way: str
     answers: dict[str, Any] = field(default_factory=dict)
     options: dict[str, Any] = field(default_factory=dict)
-
-
-def pick(rng: Random, options: Sequence[Any]) -> Any:
-    return options[int(rng.integers(len(options)))]
 
 
 @cache
@@ -246,22 +236,12 @@ def _later(picture: NDArray[np.uint8], time: int) -> NDArray[np.uint8]:
     return later
 
 
-_STORED: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
-    1: lambda a: a,
-    2: lambda a: a[:, ::-1],
-    3: lambda a: a[::-1, ::-1],
-    4: lambda a: a[::-1],
-    5: lambda a: a.swapaxes(0, 1),
-    6: lambda a: np.rot90(a),
-    7: lambda a: a.swapaxes(0, 1)[::-1, ::-1],
-    8: lambda a: np.rot90(a, -1),
-}
-"""From the upright picture to the stored one, by the EXIF orientation."""
-
-
 def _save(path: Path, picture: NDArray[np.uint8], orientation: int = 1, *, wide: bool = False) -> None:
+    """Write a picture such that the EXIF orientation brings it upright."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    stored = np.ascontiguousarray(_STORED[orientation](picture))
+    stored = picture if orientation < 5 else picture.swapaxes(0, 1)
+    rows, columns = (-1 if orientation in turned else 1 for turned in ((3, 4, 6, 7), (2, 3, 7, 8)))
+    stored = np.ascontiguousarray(stored[::rows, ::columns])
     image = Image.fromarray(stored[..., 0] if stored.shape[2] == 1 else stored)
     if wide:
         image = Image.fromarray(stored[..., 0].astype(np.uint16) * 257)
@@ -460,10 +440,10 @@ def outcome(scene: Scene, told: Told) -> tuple[str, str]:
         return "refused", said
     masked = told.way.startswith(("mosaic", "mat"))
     found = _judged(lf, scene, masked=masked)
+    warnings = [note for note in lf.notes if WARNINGS.search(note)]
     asked = "asked" if options != told.options else "same"
     if found == "same":
-        return ("wrong", "a note contradicts it") if _warned(lf) else (asked, "")
-    warnings = _warned(lf)
+        return ("wrong", "a note contradicts it") if warnings else (asked, "")
     if not warnings and found == "reversed" and scene.lie in ("flipped", "turned"):
         return "reversed", f"{options}"
     if not warnings:
@@ -473,10 +453,6 @@ def outcome(scene: Scene, told: Told) -> tuple[str, str]:
         if (after := _judged(again, scene, masked=masked)) not in ("same", "reversed"):
             return "wrong", f"advice that leads to {after}: {warnings[0]}"
     return "noted", warnings[0]
-
-
-def _warned(lf: LightField) -> list[str]:
-    return [note for note in lf.notes if any(word in note for word in WARNINGS)]
 
 
 def one(seed: int, place: Path) -> tuple[str, str, str]:
@@ -504,7 +480,6 @@ def main() -> None:
     parser.add_argument("--examples", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--processes", type=int, default=1)
-    parser.add_argument("--summary", type=Path, help="write what was counted to this file, as JSON")
     arguments = parser.parse_args()
     counts: Counter[str] = Counter()
     seeds = range(arguments.seed, arguments.seed + arguments.examples)
@@ -516,9 +491,6 @@ def main() -> None:
                 if result == "wrong":
                     print(f"seed {seed}: {way}: {why}")
     print(", ".join(f"{count} {result}" for result, count in sorted(counts.items())))
-    if arguments.summary:
-        given = {key: getattr(arguments, key) for key in ("examples", "seed")}
-        arguments.summary.write_text(json.dumps({**given, **dict(sorted(counts.items()))}, indent=1) + "\n")
     sys.exit(bool(counts["wrong"]))
 
 

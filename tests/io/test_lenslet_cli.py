@@ -142,6 +142,7 @@ def test_the_grid_is_theirs(real_folder: Path) -> None:
     assert np.abs(off.mean((0, 1))).max() < 0.2
 
 
+@pytest.mark.thorough
 @pytest.mark.data("tao2013_IMG_1")
 def test_the_views_are_theirs(data_folder: Path) -> None:
     """The same view at the same place, in linear values up to a factor; the views beside it are less alike."""
@@ -182,8 +183,8 @@ def test_the_views_are_theirs(data_folder: Path) -> None:
         # The first picture is not drawn where its list says. A Gaussian fitted to each spot lies 0.2 to 0.5 px beside
         # the list in x and y, and 1.4 px in the first row and column; in the second picture it lies on the list
         # (0.00 px on average). So it is not where pixels have their centres, which would move all four pictures.
-        ("a", True, 0.55),
-        ("b", False, 0.03),
+        pytest.param("a", True, 0.55, marks=pytest.mark.thorough),
+        pytest.param("b", False, 0.03, marks=pytest.mark.thorough),
         ("c", False, 0.02),
         ("d", True, 0.01),
     ],

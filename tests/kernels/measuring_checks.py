@@ -79,8 +79,5 @@ def window_grain(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {f"{name} {part}": out for name, parts in found.items() for part, out in parts.items()}
 
 
-OPERATIONS = (
-    Operation(quantile, "measuring"),
-    Operation(window_grain, "measuring"),
-)
+OPERATIONS = (Operation(quantile, "measuring"), Operation(window_grain, "measuring"))
 QUANTILE, GRAIN = OPERATIONS

@@ -4,15 +4,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from checks import (
-    Case,
-    Desk,
-    Operation,
-    Outputs,
-    float32,
-    relative_to_terms,
-    size,
-)
+from checks import Case, Desk, Operation, Outputs, float32, relative_to_terms, size
 
 from lfgpu.contract import half_window
 

@@ -137,9 +137,7 @@ def at_maps(energy: Callable[[Any, Any, Any], None], kernels: KernelSet, device:
 
 
 @pytest.mark.parametrize(
-    "case",
-    [*ENERGY_CASES[:3], *(pytest.param(case, marks=pytest.mark.special) for case in ENERGY_CASES[3:])],
-    ids=str,
+    "case", [*ENERGY_CASES[:3], *(pytest.param(case, marks=pytest.mark.special) for case in ENERGY_CASES[3:])], ids=str
 )
 def test_energy_and_its_gradient(target: Any, case: EnergyCase, rng: np.random.Generator) -> None:
     check_energy(target.kernels, target.device, energy_inputs(case, rng), tolerance_of(case, target.device))

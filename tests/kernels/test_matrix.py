@@ -86,7 +86,7 @@ OPERATIONS = tuple(operation for family in FAMILIES for operation in family.OPER
 UNORDERED = ("splat_z_buffered",)
 """Operations that no estimate needs, so that they may add atomically on a GPU."""
 
-FIRST = 3
+FIRST = 2
 """Cases of an operation that every backend is tried with by `make test`; with the others only the default is."""
 
 
