@@ -148,7 +148,7 @@ def test_views_and_pixels_that_are_masked_say_nothing_and_get_a_map() -> None:
 
 
 def test_any_method_and_backend_will_do(target: Any) -> None:
-    lf = scenes.make("relief", grid=(3, 3), size=(40, 40), seed=2)
+    lf = scenes.make("relief", grid=(3, 3), size=(32, 32), seed=2)
     options = {"keys": 2, "disparity_range": RANGE, "config": "fast"}
     result = estimate_all_views(lf, backend=target.backend, device=target.device, **options)
     truth = estimate_all_views(lf, backend="reference", **options)

@@ -405,6 +405,7 @@ def test_a_scheduler_that_is_not_there_is_one_sentence(
     )
 
 
+@pytest.mark.thorough
 def test_frames_of_a_sequence_stay_in_order(scene_folders: Path, tmp_path: Path) -> None:
     frames = tmp_path / "frames"
     for number in range(4):

@@ -110,7 +110,7 @@ def test_depth_with_options(views: Path, out: Path) -> None:
 
 
 def test_quiet_says_nothing(recorded: Path, out: Path) -> None:
-    outcome = lfgpu("depth", recorded, "-o", out, "-q", *RANGE, "--set=alignment.iterations=1")
+    outcome = lfgpu("depth", recorded, "-o", out, "-q", *RANGE, "--preset=fast")
     assert (outcome.code, outcome.out, outcome.err) == (0, "", "")
     assert {file.name for file in out.iterdir()} == OUTPUTS
 
@@ -132,7 +132,7 @@ def test_maps_of_all_views_lie_beside_that_of_the_reference(recorded: Path, scen
 
 def test_a_map_within_the_border_is_not_scored(tmp_path: Path, out: Path) -> None:
     write_hci(scenes.make("relief", grid=(3, 3), size=(24, 40)), tmp_path / "small")
-    text = said("depth", tmp_path / "small", "-o", out, *RANGE)
+    text = said("depth", tmp_path / "small", "-o", out, *RANGE, "--preset=fast")
     assert "cannot be scored" in text
     assert {file.name for file in out.iterdir()} == OUTPUTS
 
@@ -140,7 +140,7 @@ def test_a_map_within_the_border_is_not_scored(tmp_path: Path, out: Path) -> Non
 def test_without_geometry_there_is_no_depth(views: Path, out: Path) -> None:
     for name in ("parameters.cfg", "gt_disp_lowres.pfm", "gt_depth_lowres.pfm"):
         (views / name).unlink()
-    text = said("depth", views, "-o", out, *RANGE, "--set=alignment.iterations=1")
+    text = said("depth", views, "-o", out, *RANGE, "--preset=fast")
     assert {file.name for file in out.iterdir()} == OUTPUTS - {"depth.pfm"}
     assert "ground truth" not in text
 

@@ -19,7 +19,7 @@ from lfgpu.metrics import Metrics, evaluate
 from lfgpu.pipelines import estimate as depth, rehearsal
 from tests.made import masked
 
-RANGE, WIDE = (-1.5, 1.5), (-3.0, 3.0)
+RANGE = (-1.5, 1.5)
 CONVERGED = SynthesisConfig().with_values({"refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
 """Where two minimisations are compared, so that not the iteration at which each happened to stop is."""
 STAGES = tuple(stage.name for stage in Synthesis.STAGES)
@@ -115,15 +115,6 @@ def test_any_view_may_be_the_reference() -> None:
 def test_some_of_the_views_are_enough(pattern: str) -> None:
     lf = relief().subset(pattern)
     assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refine"].rmse < 0.035
-
-
-def test_range_is_found_where_it_is_not_given() -> None:
-    lf = relief(disparity_range=WIDE)
-    result = estimate_depth(lf)
-    truth = lf.truth.disparity  # type: ignore[union-attr]
-    low, high = result.disparity_range
-    assert ((truth >= low) & (truth <= high)).mean() > 0.99
-    assert scores(lf, result)["refine"].rmse < 0.03
 
 
 # --- the same scene in other clothes ---
@@ -254,15 +245,9 @@ def test_energy_falls_and_convergence_is_said() -> None:
     assert "limit of iterations" in cut.status
 
 
-@pytest.mark.parametrize(
-    ("name", "near", "scene"),
-    [
-        ("paper", 3e-3, "boxes"),
-        pytest.param("paper-exact", 1e-3, "relief", marks=pytest.mark.thorough),
-        pytest.param("paper", 3e-3, "relief", marks=pytest.mark.thorough),
-        pytest.param("paper-exact", 1e-3, "boxes", marks=pytest.mark.thorough),
-    ],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize(("name", "near"), [("paper", 3e-3), ("paper-exact", 1e-3)])
+@pytest.mark.parametrize("scene", ["boxes", "relief"])
 def test_a_map_that_converged_is_near_its_minimum(name: str, near: float, scene: str) -> None:
     """As docs/devices.md says; 95 % of the pixels of each stage."""
     lf = scenes.make(scene, grid=(5, 5), size=(56, 64))

@@ -147,12 +147,20 @@ def test_what_two_views_say_by_chance_no_third_one_denies() -> None:
     assert 0.65 < high < 1.1
 
 
-@pytest.mark.parametrize("name", ["population/A_bust", "population/C_fence", "population/E_clutter", "cotton", "vinyl"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("population/C_fence", "cotton"),
+        *(pytest.param(f, marks=pytest.mark.thorough) for f in ("population/A_bust", "population/E_clutter", "vinyl")),
+    ],
+)
 def test_it_holds_rendered_scenes(name: str) -> None:
     spans(read(real_data(name)), missing=0.002, more=0.0)
 
 
-@pytest.mark.parametrize(("sigma", "step", "count", "side"), [(0, 1, 5, 200), (0.7, 2, 3, 400)])
+@pytest.mark.parametrize(
+    ("sigma", "step", "count", "side"), [(0, 1, 5, 200), pytest.param(0.7, 2, 3, 400, marks=pytest.mark.thorough)]
+)
 def test_texture_finer_than_the_pixels_of_reduced_views(sigma: float, step: int, count: int, side: int) -> None:
     """Speckle on a plane of whole disparity is matched perfectly at full resolution, and looks like noise reduced."""
     reach = side + step * count

@@ -206,7 +206,10 @@ def seen_against_middle(name: str, row: int, column: int, **kwargs: Any) -> np.n
     return own[inside][smooth] - sampled(middle, x, y, order=1)[inside][smooth]
 
 
-@pytest.mark.parametrize("name", ["planes", "boxes", "bars", "textureless", "moving", "still_life"])
+@pytest.mark.parametrize(
+    "name",
+    ["planes", "boxes", "bars", "textureless", "moving", pytest.param("still_life", marks=pytest.mark.thorough)],
+)
 def test_other_scenes_have_occlusions_and_views_agree_elsewhere(name: str) -> None:
     size = (192, 192)
     difference = seen_against_middle(name, 0, 0, grid=(5, 5), size=size)

@@ -293,7 +293,9 @@ def problem(scene: str, target: Any) -> Problem:
     return Problem(lf, target, energy, kernels.numpy(propagation.filled))
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(
+    "scene", [name if name == "boxes" else pytest.param(name, marks=pytest.mark.thorough) for name in SCENES]
+)
 def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
     """With the default tolerance, at which both stop before the minimum.
 

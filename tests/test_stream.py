@@ -180,7 +180,7 @@ def test_results_keep_their_maps_and_give_them_back() -> None:
         held_up = stream.stats()["result_buffers"]
         del maps
         gc.collect()
-        for _ in range(3 * before):
+        for _ in range(before + 2):
             stream.push(frames()[0].views).wait()
         assert stream.stats()["result_buffers"] == held_up
 
@@ -242,7 +242,7 @@ def test_exceptions_of_a_callback_can_end_the_stream() -> None:
     assert adds_up(stream.stats())
 
 
-@pytest.mark.parametrize("ending", [SystemExit, KeyboardInterrupt])
+@pytest.mark.parametrize("ending", [pytest.param(SystemExit, marks=pytest.mark.thorough), KeyboardInterrupt])
 def test_a_callback_that_ends_its_thread_does_not_end_the_stream(ending: type[BaseException]) -> None:
     def leave(_: lfgpu.StreamResult) -> None:
         raise ending

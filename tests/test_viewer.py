@@ -27,7 +27,7 @@ import sys
 from lfgpu import Viewer, estimate_depth, scenes
 from lfgpu.viewer import pictures, saving
 from lfgpu.viewer.space import Space
-lf = scenes.make("boxes", grid=(5, 5), size=(40, 48))
+lf = scenes.make("boxes", grid=(3, 3), size=(32, 40))
 with Viewer(lf, port=0) as viewer:
     before = set(sys.modules)
     pictures.prepare()

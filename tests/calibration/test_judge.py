@@ -63,7 +63,8 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
 
 
 @pytest.mark.parametrize(
-    ("index", "shift"), [pytest.param(3, (2, 0), marks=pytest.mark.thorough), (0, (-15, 9)), (20, (0, 45))]
+    ("index", "shift"),
+    [(20, (0, 45)), *(pytest.param(*case, marks=pytest.mark.thorough) for case in ((3, (2, 0)), (0, (-15, 9))))],
 )
 def test_a_view_that_is_far_off_is_found_where_it_is(boxes: LightField, index: int, shift: tuple[int, int]) -> None:
     """All its points are outliers there: steps from where it should be do not reach it. Half of the picture is far."""
@@ -121,7 +122,7 @@ def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     np.testing.assert_array_equal(result.confidence, before.confidence)
 
 
-@pytest.mark.parametrize("line", ["row", "column"])
+@pytest.mark.parametrize("line", ["row", pytest.param("column", marks=pytest.mark.thorough)])
 def test_cameras_of_a_line_along_the_other_axis_are_named(line: str) -> None:
     lf = scenes.make("boxes", grid=(9, 9), size=(96, 112), seed=2).subset(line)
     assert not [said for said in lfgpu.estimate_depth(lf, config="fast").remarks if "rows of cameras" in said]
@@ -164,7 +165,7 @@ def test_wrong_signs_are_found(
     assert len(found.findings) == 1
 
 
-@pytest.mark.parametrize("flip", ["", "u"])
+@pytest.mark.parametrize("flip", ["", pytest.param("u", marks=pytest.mark.thorough)])
 def test_a_pair_tells_nothing_of_what_hides_what(flip: str) -> None:
     """What is hidden in the only other view has whatever disparity fits; both signs were said to be wrong."""
     pair = flipped(

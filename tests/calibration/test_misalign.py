@@ -279,7 +279,9 @@ def test_what_rectify_wrote_is_a_rectifier(calibrated: bool, tmp_path: Path) -> 
     assert found.reference == want.reference
 
 
-@pytest.mark.parametrize("backend", ["warp", pytest.param("taichi", marks=pytest.mark.thorough), "reference"])
+@pytest.mark.parametrize(
+    "backend", ["warp", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("taichi", "reference"))]
+)
 def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
     kernels = load(backend)
     parts = {name: getattr(rectifier(), name)[:, :40, :44] for name in ("places", "squared_radius", "valid")}

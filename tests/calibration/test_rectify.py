@@ -173,10 +173,7 @@ def test_refinement_lines_views_up(boxes: LightField) -> None:
     found = refine(wrong.light_field)
     assert found.kept
     assert found.psnr_after > found.psnr_before + 3
-    before = lfgpu.explain(wrong.light_field, boxes.truth.disparity)
-    after = lfgpu.explain(found.light_field, boxes.truth.disparity)
-    assert before.misalignment > 0.3
-    assert after.misalignment < 0.04
+    assert lfgpu.explain(found.light_field, boxes.truth.disparity).misalignment < 0.04
     np.testing.assert_allclose(found.tones.gain, wrong.gain, atol=0.02)
     assert (found.light_field.views[4] == boxes.views[4]).all()  # the reference view is what others are told against
     assert found.light_field.grid_shape == (3, 3)
@@ -317,25 +314,21 @@ def test_cameras_of_other_names_are_taken_in_order_and_that_is_said(boxes: Light
     assert "matched in order: view_000.png is of device_000.png, ..., view_008.png of device_008.png." in notes
 
 
-def test_the_truth_is_that_of_the_rectified_cameras(boxes: LightField) -> None:
+def test_the_truth_is_that_of_the_rectified_cameras_and_all_is_read_back(boxes: LightField, tmp_path: Path) -> None:
     """They have another disparity 0 than the pictures; without the depth nobody knows theirs."""
     wrong = disturb(boxes, Misalignment(shift=1), seed=3)
-    found = rectify(wrong.light_field, calibration=known(wrong.cameras)).light_field
+    rectified = rectify(wrong.light_field, calibration=known(wrong.cameras))
+    found = rectified.light_field
     assert np.abs(np.median(found.truth.disparity - boxes.truth.disparity)) > 0.03
     map_ = lfgpu.estimate_depth(found, config="fast", check_cameras=False)
     assert np.median(np.abs(map_.disparity - found.truth.disparity)[15:-15, 15:-15]) < 0.03
     flat = replace(wrong.light_field, geometry=None)
     assert rectify(flat, calibration=known(wrong.cameras)).light_field.truth is None
-
-
-def test_what_is_written_is_read_back(boxes: LightField, tmp_path: Path) -> None:
-    wrong = disturb(boxes, Misalignment(shift=1, gain=0.1), seed=3)
-    found = rectify(wrong.light_field, calibration=known(wrong.cameras), tones=True)
-    write_rectified(found, tmp_path / "out")
+    write_rectified(rectified, tmp_path / "out")
     back = lfgpu.read(tmp_path / "out")
-    np.testing.assert_array_equal(back.views, found.light_field.views)
-    np.testing.assert_array_equal(back.valid, found.light_field.valid)
-    np.testing.assert_allclose(back.offsets, found.light_field.offsets)
+    np.testing.assert_array_equal(back.views, found.views)
+    np.testing.assert_array_equal(back.valid, found.valid)
+    np.testing.assert_allclose(back.offsets, found.offsets)
     assert back.truth is not None
 
 

@@ -115,7 +115,10 @@ def test_there_is_an_end_of_what_is_kept(tmp_path: Path, monkeypatch: pytest.Mon
     assert 1 <= len(list(folder().glob("*.npz"))) < 4
 
 
-CAPTURES = [pytest.param(name, marks=pytest.mark.data(name)) for name in ("tao2013_IMG_1", "tao2013_IMG_4")]
+CAPTURES = [
+    pytest.param("tao2013_IMG_1", marks=pytest.mark.data("tao2013_IMG_1")),
+    pytest.param("tao2013_IMG_4", marks=[pytest.mark.data("tao2013_IMG_4"), pytest.mark.thorough]),
+]
 
 
 def real_raw(real_folder: Path) -> Path:

@@ -108,7 +108,13 @@ def test_real_row_of_cameras() -> None:
     assert -0.05 < means[0] < 0.15 < 0.3 < means[1]
 
 
-@pytest.mark.parametrize("name", ["cotton", "kitchen", "stillLife_3x3", "lytro_2067", "tao2013_IMG_1", "tao2013_IMG_4"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("cotton", "kitchen", "stillLife_3x3", "tao2013_IMG_1"),
+        *(pytest.param(folder, marks=pytest.mark.thorough) for folder in ("lytro_2067", "tao2013_IMG_4")),
+    ],
+)
 def test_real_axes_run_alike(name: str) -> None:
     light_field = read(real_data(name))
     assert parallax.axes_agree(light_field) is True
