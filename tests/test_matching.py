@@ -248,11 +248,8 @@ def test_confidence_tells_what_is_wrong(name: str, most: float, preset: PresetNa
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("preset", "noises", "side"),
-    [("fast", (0.0,), 128), ("accurate", (0.0, 0.01, 0.02), 192), ("fast", (0.0, 0.01, 0.02), 192)],
-)
-def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[float, ...], side: int) -> None:
+@pytest.mark.parametrize("preset", ["accurate", "fast"])
+def test_confidence_is_about_the_share_that_is_right(preset: str) -> None:
     """Over scenes with texture together, in bins of the confidence that hold enough pixels.
 
     Surfaces without texture are filled, and nothing in the views says whether that is right. There the confidence may
@@ -261,8 +258,8 @@ def test_confidence_is_about_the_share_that_is_right(preset: str, noises: tuple[
     right, expected = {}, {}
     for name in ("boxes", "planes", "bars", "textureless"):
         inner, found, said = np.s_[15:-15, 15:-15], [], []
-        for seed, noise in itertools.product((0, 1, 2), noises):
-            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(side, side), noise=noise)
+        for seed, noise in itertools.product((0, 1, 2), (0.0, 0.01, 0.02)):
+            lf = scenes.make(name, seed=seed, grid=(5, 5), size=(192, 192), noise=noise)
             result = estimate_depth(lf, disparity_range=RANGE, config=preset, check_cameras=False)
             found.append((np.abs(result.disparity - lf.truth.disparity) <= 0.07)[inner].ravel())
             said.append(result.confidence[inner].ravel())
