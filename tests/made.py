@@ -1,9 +1,10 @@
-"""What tests start from: results that nobody estimated, light fields with masks, arrays of another library."""
+"""What tests start from: results that nobody estimated, masked light fields, other arrays, cases left to `test-all`."""
 
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from lfgpu.data import DepthResult, LightField
 from lfgpu.methods import PRESETS
@@ -38,3 +39,8 @@ class Tensor:
 
     def __dlpack_device__(self) -> Any:
         return self._values.__dlpack_device__()
+
+
+def thorough(*values: Any, **named: Any) -> Any:
+    """A case of a parametrised test that `make test` leaves out."""
+    return pytest.param(*values, marks=pytest.mark.thorough, **named)

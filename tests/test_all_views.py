@@ -16,7 +16,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.metrics import evaluate
 from lfgpu.pipelines.all_views import Join, estimate_all_views, spread_out
 from lfgpu.pipelines.estimate import estimate_depth
-from tests.made import made_result, masked
+from tests.made import made_result, masked, thorough
 
 RANGE = (-1.6, 1.7)
 SIZE = (96, 96)
@@ -82,7 +82,7 @@ def sampled(values: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.asarray((1 - down) * upper + down * lower)
 
 
-@pytest.mark.parametrize(("name", "most"), [("boxes", 13), pytest.param("planes", 6.5, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize(("name", "most"), [("boxes", 13), thorough("planes", 6.5)])
 def test_every_view_is_near_its_own_truth(name: str, most: float) -> None:
     result = estimated(name)
     assert result.disparities.shape == result.confidences.shape == (25, *SIZE)
@@ -94,7 +94,7 @@ def test_every_view_is_near_its_own_truth(name: str, most: float) -> None:
     assert evaluate(result.disparities[0], truths(name)[24]).badpix_07 > 2 * most
 
 
-@pytest.mark.parametrize("name", ["boxes", pytest.param("planes", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("name", ["boxes", thorough("planes")])
 def test_maps_are_better_than_those_of_views_alone_and_agree_more(name: str) -> None:
     true, positions = truths(name)[::6], scene(name).positions[::6]
     both = estimated(name).disparities[::6], alone(name)

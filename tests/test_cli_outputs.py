@@ -10,6 +10,7 @@ from PIL import Image
 
 from lfgpu import PRESETS, evaluate, load, point_cloud, read, refocus, render_view, scenes
 from lfgpu.io import write_hci
+from tests.made import thorough
 
 SAVED = ("map.exr", "map.tif", "map16.png", "cloud.ply", "map.npz", "map.pfm")
 
@@ -148,9 +149,7 @@ def test_render_reads_as_depth_does(recorded: Path, loose: Path, tmp_path: Path)
         refused(outcome, option[0].strip("-"))
 
 
-@pytest.mark.parametrize(
-    "name", [name if name == "fast" else pytest.param(name, marks=pytest.mark.thorough) for name in PRESETS]
-)
+@pytest.mark.parametrize("name", [name if name == "fast" else thorough(name) for name in PRESETS])
 def test_render_with_any_preset(name: str, recorded: Path, tmp_path: Path) -> None:
     said("render", recorded, "--view", "1,0.5", "-o", tmp_path / f"{name}.png", "--preset", name, *RANGE, "-q")
     assert Image.open(tmp_path / f"{name}.png").size == (56, 48)

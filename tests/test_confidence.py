@@ -17,6 +17,7 @@ from lfgpu import DepthResult, LightField, Reason, estimate_depth, reasons, scen
 from lfgpu.data.filling import filled
 from lfgpu.errors import LightFieldError
 from lfgpu.io.hci import write_hci
+from tests.made import thorough
 
 RANGE = (-1.6, 1.7)
 WEIGHTS = Weights({"once": (0.5, -1.2, 0.8, -0.4, 0.3, 0.2)}, {"once": (-3.0, 0.5, -1.0, 0.3, -0.2, 0.1)})
@@ -53,7 +54,7 @@ def test_misregistered_views_lower_the_confidence() -> None:
     assert bad.uncertainty.mean() > 2 * good.uncertainty.mean()  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("preset", ["fast", pytest.param("accurate", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("preset", ["fast", thorough("accurate")])
 def test_a_plain_surface_far_from_texture_is_not_believed(preset: str) -> None:
     """Nor because no view sees what is behind it: it is not known where it is."""
     lf = scenes.make("relief", grid=(7, 7), size=(96, 104))
@@ -243,7 +244,7 @@ def hole(lf: LightField) -> np.ndarray:
     return ~lf.valid[lf.reference_index]
 
 
-@pytest.mark.parametrize("config", ["accurate", "fast", pytest.param("paper", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("config", ["accurate", "fast", thorough("paper")])
 def test_masked_pixels_of_the_reference_are_nan_in_all_maps(config: str, target: Any) -> None:
     lf = masked()
     result = lfgpu.estimate_depth(

@@ -17,7 +17,7 @@ from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.methods.synthesis.method import Synthesis
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.pipelines import estimate as depth, rehearsal
-from tests.made import masked
+from tests.made import masked, thorough
 
 RANGE = (-1.5, 1.5)
 CONVERGED = SynthesisConfig().with_values({"refinement.tolerance": 1e-6, "refinement.max_iterations": 500})
@@ -111,7 +111,7 @@ def test_any_view_may_be_the_reference() -> None:
     assert result.position == (place[1], place[0])
 
 
-@pytest.mark.parametrize("pattern", [pytest.param("star", marks=pytest.mark.thorough), "column"])
+@pytest.mark.parametrize("pattern", [thorough("star"), "column"])
 def test_some_of_the_views_are_enough(pattern: str) -> None:
     lf = relief().subset(pattern)
     assert scores(lf, estimate_depth(lf, disparity_range=RANGE))["refine"].rmse < 0.035
@@ -146,9 +146,7 @@ def mirrored(lf: LightField) -> LightField:
     return LightField(lf.views[:, :, ::-1].copy(), lf.positions * (-1, 1), reference=lf.reference)
 
 
-@pytest.mark.parametrize(
-    ("turn", "back"), [(transposed, np.transpose), pytest.param(mirrored, np.fliplr, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize(("turn", "back"), [(transposed, np.transpose), thorough(mirrored, np.fliplr)])
 def test_a_turned_scene_gives_the_turned_map(turn: Any, back: Any) -> None:
     one, other = upright(), estimate_depth(turn(small()), disparity_range=RANGE)
     assert difference(one.stages["propagate"], back(other.stages["propagate"])) < 1e-3

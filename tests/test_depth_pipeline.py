@@ -16,7 +16,7 @@ from lfgpu.methods import configured
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.estimate import estimate_depth
 from lfgpu.pipelines.pipeline import DepthPipeline
-from tests.made import masked
+from tests.made import masked, thorough
 
 RANGE = (-1.5, 1.5)
 CONFIG = SynthesisConfig().with_values({"prior.window": 5, "refinement.max_iterations": 8})
@@ -55,7 +55,7 @@ def assert_same(one: np.ndarray, other: np.ndarray, target: Any) -> None:
         assert np.nanquantile(np.abs(one - other), 0.95) <= SAME
 
 
-WHOLE_OR_DAMAGED = [pytest.param(False, marks=pytest.mark.thorough, id="whole"), pytest.param(True, id="damaged")]
+WHOLE_OR_DAMAGED = [thorough(False, id="whole"), pytest.param(True, id="damaged")]
 
 
 @pytest.mark.parametrize("damaged", WHOLE_OR_DAMAGED)

@@ -14,6 +14,7 @@ from lfgpu.contract import Device
 from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import disparity_range
+from tests.made import thorough
 
 KERNELS = load("warp")
 
@@ -31,7 +32,7 @@ def spans(lf: LightField, *, missing: float = 0.0, times: float = 1.3, more: flo
     assert high - low <= times * np.ptp(truth) + more
 
 
-@pytest.mark.parametrize("noise", [0.03, pytest.param(0.0, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("noise", [0.03, thorough(0.0)])
 @pytest.mark.parametrize("name", scenes.NAMES)
 def test_it_holds_the_scene(name: str, noise: float) -> None:
     spans(scenes.make(name, seed=7, grid=(5, 5), size=(128, 160), noise=noise), missing=0.002)
@@ -39,10 +40,7 @@ def test_it_holds_the_scene(name: str, noise: float) -> None:
 
 @pytest.mark.parametrize(
     "extent",
-    [
-        *((-3.0, 3.0), (14.2, 18.8), (-20.0, -17.0)),
-        *(pytest.param(e, marks=pytest.mark.thorough) for e in ((0.5, 2.0), (-2.5, -1.0), (-6.0, 9.0))),
-    ],
+    [*((-3.0, 3.0), (14.2, 18.8), (-20.0, -17.0)), *map(thorough, ((0.5, 2.0), (-2.5, -1.0), (-6.0, 9.0)))],
     ids=str,
 )
 def test_it_holds_small_and_large_disparities_of_few_views(extent: tuple[float, float]) -> None:
@@ -100,16 +98,8 @@ def test_views_without_texture_have_none(noise: float) -> None:
     ("name", "options"),
     [
         ("bars", {"seed": 9098, "grid": (3, 7), "size": (200, 360), "disparity_range": (-3.5, 3.5), "noise": 0.01}),
-        pytest.param(
-            "bars",
-            {"seed": 5002, "grid": (7, 7), "size": (160, 200), "noise": 0.043, "channels": 1},
-            marks=pytest.mark.thorough,
-        ),
-        pytest.param(
-            "bars",
-            {"seed": 440, "grid": (11, 11), "size": (320, 288), "noise": 0.02, "channels": 1},
-            marks=pytest.mark.thorough,  # 121 views take as long as all other tests of this file
-        ),
+        thorough("bars", {"seed": 5002, "grid": (7, 7), "size": (160, 200), "noise": 0.043, "channels": 1}),
+        thorough("bars", {"seed": 440, "grid": (11, 11), "size": (320, 288), "noise": 0.02, "channels": 1}),
     ],
     ids=["few", "noisy", "many"],
 )
@@ -119,7 +109,7 @@ def test_a_wall_behind_noise_is_in_it(name: str, options: dict[str, Any]) -> Non
     spans(scenes.make(name, reference=reference, **options), missing=0.002)
 
 
-@pytest.mark.parametrize("backend", ["reference", pytest.param("taichi", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("backend", ["reference", thorough("taichi")])
 def test_it_does_not_depend_on_the_backend(backend: str) -> None:
     lf = scenes.make("boxes", grid=(3, 3), size=(64, 72))
     valid = np.random.default_rng(0).uniform(size=lf.views.shape[:3]) > 0.001
@@ -148,19 +138,13 @@ def test_what_two_views_say_by_chance_no_third_one_denies() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        *("population/C_fence", "cotton"),
-        *(pytest.param(f, marks=pytest.mark.thorough) for f in ("population/A_bust", "population/E_clutter", "vinyl")),
-    ],
+    "name", [*("population/C_fence", "cotton"), *map(thorough, ("population/A_bust", "population/E_clutter", "vinyl"))]
 )
 def test_it_holds_rendered_scenes(name: str) -> None:
     spans(read(real_data(name)), missing=0.002, more=0.0)
 
 
-@pytest.mark.parametrize(
-    ("sigma", "step", "count", "side"), [(0, 1, 5, 200), pytest.param(0.7, 2, 3, 400, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize(("sigma", "step", "count", "side"), [(0, 1, 5, 200), thorough(0.7, 2, 3, 400)])
 def test_texture_finer_than_the_pixels_of_reduced_views(sigma: float, step: int, count: int, side: int) -> None:
     """Speckle on a plane of whole disparity is matched perfectly at full resolution, and looks like noise reduced."""
     reach = side + step * count

@@ -28,7 +28,7 @@ from lfgpu.methods.matching.unet import Weights
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.export import export_pipeline
 from lfgpu.pipelines.resident import KEPT
-from tests.made import masked
+from tests.made import masked, thorough
 
 WIDTHS = 8, 16, 8, 24
 SIZE, COUNT, STEP = (45, 37), 12, 0.25
@@ -55,7 +55,7 @@ def maps(
     return [kernels.numpy(output) for output in outputs]
 
 
-@pytest.mark.parametrize("backend", ["warp", pytest.param("taichi", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("backend", ["warp", thorough("taichi")])
 @pytest.mark.parametrize(("stored", "within", "channels"), [(np.float32, 1e-3, 3), (np.float16, 2e-2, 1)])
 def test_backends_give_the_maps_of_the_reference(
     backend: str, stored: type, within: float, channels: int, rng: np.random.Generator
@@ -74,7 +74,7 @@ def test_backends_give_the_maps_of_the_reference(
         assert near.mean() >= 0.95, (name, near.mean(), np.abs(one - other).max())
 
 
-@pytest.mark.parametrize("stored", [pytest.param(np.float32, marks=pytest.mark.thorough), np.float16])
+@pytest.mark.parametrize("stored", [thorough(np.float32), np.float16])
 def test_rows_at_a_time_give_the_bits_of_whole_volumes(
     stored: type, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -284,9 +284,7 @@ def test_backends_agree_in_wide_ranges(wide: LightField) -> None:
     assert np.quantile(np.abs(maps[0] - maps[1]), 0.95) < 1e-3
 
 
-@pytest.mark.parametrize(
-    "name", ["textureless", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("boxes", "planes"))]
-)
+@pytest.mark.parametrize("name", ["textureless", *map(thorough, ("boxes", "planes"))])
 def test_its_confidence_is_the_share_of_right_pixels(name: str) -> None:
     """On scenes that the weights of the confidence were not fitted on."""
     lf = scenes.make(name, grid=(5, 5), size=(96, 96))

@@ -11,7 +11,7 @@ from lfgpu import scenes
 from lfgpu.data import DepthResult, LightField
 from lfgpu.methods.synthesis.config import SynthesisConfig
 from lfgpu.pipelines.estimate import estimate_depth
-from tests.made import masked
+from tests.made import masked, thorough
 
 RANGE = (-1.5, 1.5)
 CONVERGED = SynthesisConfig().with_values(
@@ -77,7 +77,7 @@ def reasons(result: DepthResult) -> str:
     return re.sub(r"\d[\d.e+-]*", "#", result.status)
 
 
-@pytest.mark.parametrize("scene", [pytest.param(SCENES[0], marks=pytest.mark.thorough), *SCENES[1:]], ids=str)
+@pytest.mark.parametrize("scene", [thorough(SCENES[0]), *SCENES[1:]], ids=str)
 def test_pipeline_ends_where_the_reference_ends(other: Any, scene: Scene) -> None:
     result = estimated(scene, other.backend, other.device)
     assert (result.backend, result.device) == (other.backend, other.device)

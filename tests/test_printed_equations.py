@@ -15,7 +15,7 @@ from lfgpu.methods.synthesis.energy import Energy
 from lfgpu.methods.synthesis.model import ForwardModel
 from lfgpu.methods.synthesis.plan import SynthesisPlan, in_units_of, noise_in_units, planned_prior, spread
 from tests import printed
-from tests.made import masked
+from tests.made import masked, thorough
 
 RANGE = (-1.5, 1.6)
 
@@ -105,9 +105,7 @@ QUICK = (("bars", 0.02),)
 OTHERS = [case for case in itertools.product(scenes.NAMES, (0.0, 0.02)) if case not in QUICK]
 
 
-@pytest.mark.parametrize(
-    ("name", "noise"), [*QUICK, *(pytest.param(*case, marks=pytest.mark.thorough) for case in OTHERS)]
-)
+@pytest.mark.parametrize(("name", "noise"), [*QUICK, *(thorough(*case) for case in OTHERS)])
 def test_the_refinement_leaves_no_map_worse(name: str, noise: float) -> None:
     lf = scenes.make(name, grid=(7, 7), size=(112, 112), noise=noise)
     maps = lfgpu.estimate_depth(lf, config="paper", disparity_range=RANGE, device="cpu").stages

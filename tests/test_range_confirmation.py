@@ -15,6 +15,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.methods.disparity_range import find_disparity_range
 from lfgpu.pipelines.range_confirmation import confirm
 from lfgpu.pipelines.verdict import judged, views_alone
+from tests.made import thorough
 
 WHERE = open_device("warp", "cpu")
 
@@ -56,7 +57,7 @@ def noise_in_a_row(shape: tuple[int, ...], blur: float, seed: int) -> np.ndarray
     return np.clip(128 + 40 * values / values.std(), 0, 255).astype(np.uint8)
 
 
-@pytest.mark.parametrize("seeds", [range(2), pytest.param(range(2, 4), marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("seeds", [range(2), thorough(range(2, 4))])
 def test_blurred_noise_is_refused_or_not_believed(seeds: range) -> None:
     """Where it is very smooth, the range finder takes a few pixels of it for evidence."""
     positions = np.stack([np.arange(5.0), np.zeros(5)], axis=1)
@@ -90,14 +91,7 @@ def noise(kind: str) -> LightField:
     return LightField.from_grid(np.rint(255 * values).astype(np.uint8))
 
 
-@pytest.mark.parametrize(
-    "kind",
-    [
-        "grey",
-        "two",
-        *(pytest.param(kind, marks=pytest.mark.thorough) for kind in ("of a sensor in the dark", "in a row")),
-    ],
-)
+@pytest.mark.parametrize("kind", ["grey", "two", *map(thorough, ("of a sensor in the dark", "in a row"))])
 def test_noise_is_said_to_be_nothing_and_is_not_believed(kind: str, tmp_path: Path) -> None:
     views = noise(kind)
     notes, remarks = views_alone(views, WHERE)

@@ -22,7 +22,7 @@ from lfgpu.methods.matching import frame, noise
 from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT, _return_memory, kept_memory, set_kept_memory
-from tests.made import masked as with_masks
+from tests.made import masked as with_masks, thorough
 
 LIMIT = "2GiB"
 
@@ -64,7 +64,7 @@ def assert_equal(one: DepthResult, other: DepthResult) -> None:
         ("surest", None, True),  # which has the parts of accurate and learned
         ("paper", None, False),
         *(
-            pytest.param(*case, marks=pytest.mark.thorough)
+            thorough(*case)
             for case in (
                 ("accurate", None, True),
                 ("accurate", GIVEN, False),
@@ -92,7 +92,7 @@ def test_results_do_not_depend_on_light_fields_before(target: Any, config: str, 
         assert len(KEPT._kept) == 1
 
 
-@pytest.mark.parametrize("config", ["fast", pytest.param("accurate", marks=pytest.mark.thorough), "surest"])
+@pytest.mark.parametrize("config", ["fast", thorough("accurate"), "surest"])
 def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Their ranges, numbers of disparities, noises and penalties differ; a capture is faked, as a CPU has none."""
     fields = [a_scene(seed, noise) for seed, noise in ((0, 0.02), (1, 0.01), (2, 0.005))]

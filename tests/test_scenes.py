@@ -15,6 +15,7 @@ from lfgpu.scenes.lamps import Lamps, lit
 from lfgpu.scenes.objects import Box, Disc, Ellipsoid, Frustum, Quad, Rays, Relief, Wall
 from lfgpu.scenes.render import Frame, Thing
 from lfgpu.scenes.texture import Painter, Texture
+from tests.made import thorough
 
 SMALL: dict[str, Any] = {"grid": (3, 3), "size": (96, 112)}
 SLOPES = [(0.0, 0.0), (0.11, -0.07), (-0.3, 0.2)]
@@ -206,10 +207,7 @@ def seen_against_middle(name: str, row: int, column: int, **kwargs: Any) -> np.n
     return own[inside][smooth] - sampled(middle, x, y, order=1)[inside][smooth]
 
 
-@pytest.mark.parametrize(
-    "name",
-    ["planes", "boxes", "bars", "textureless", "moving", pytest.param("still_life", marks=pytest.mark.thorough)],
-)
+@pytest.mark.parametrize("name", ["planes", "boxes", "bars", "textureless", "moving", thorough("still_life")])
 def test_other_scenes_have_occlusions_and_views_agree_elsewhere(name: str) -> None:
     size = (192, 192)
     difference = seen_against_middle(name, 0, 0, grid=(5, 5), size=size)
@@ -224,9 +222,7 @@ def test_other_scenes_have_occlusions_and_views_agree_elsewhere(name: str) -> No
 
 
 @pytest.mark.parametrize("name", scenes.NAMES)
-@pytest.mark.parametrize(
-    ("seed", "far", "near"), [(0, -1.5, 1.5), pytest.param(1, 0.5, 2.0, marks=pytest.mark.thorough)]
-)
+@pytest.mark.parametrize(("seed", "far", "near"), [(0, -1.5, 1.5), thorough(1, 0.5, 2.0)])
 def test_truth_stays_in_the_range_and_uses_most_of_it(name: str, seed: int, far: float, near: float) -> None:
     field = scenes.make(name, seed=seed, disparity_range=(far, near), **SMALL)
     truth = truth_of(field)

@@ -22,6 +22,7 @@ from lfgpu.solvers.cg import ConjugateGradients
 from lfgpu.solvers.lbfgs import BoundedLbfgs
 from lfgpu.solvers.lbfgsb import ScipyLbfgsb
 from lfgpu.solvers.solution import Solution
+from tests.made import thorough
 
 SHAPE = (4, 6)
 
@@ -293,9 +294,7 @@ def problem(scene: str, target: Any) -> Problem:
     return Problem(lf, target, energy, kernels.numpy(propagation.filled))
 
 
-@pytest.mark.parametrize(
-    "scene", [name if name == "boxes" else pytest.param(name, marks=pytest.mark.thorough) for name in SCENES]
-)
+@pytest.mark.parametrize("scene", [name if name == "boxes" else thorough(name) for name in SCENES])
 def test_lbfgs_ends_as_low_as_scipy(target: Any, scene: str) -> None:
     """With the default tolerance, at which both stop before the minimum.
 

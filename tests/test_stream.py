@@ -13,7 +13,7 @@ from stream_runs import FRAMES, LONG, RANGE, adds_up, alone, frames, made, other
 
 import lfgpu
 from lfgpu import scenes
-from tests.made import masked
+from tests.made import masked, thorough
 
 
 @pytest.mark.parametrize("config", ["accurate", "fast"])
@@ -54,8 +54,8 @@ def test_warm_maps_are_near_the_cold_ones_and_flicker_less() -> None:
     assert error(warm) < 1.15 * error(cold)
 
 
-@pytest.mark.parametrize("config", ["accurate", pytest.param("fast", marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2))])
+@pytest.mark.parametrize("config", ["accurate", thorough("fast")])
+@pytest.mark.parametrize("seed", [0, *map(thorough, (1, 2))])
 def test_the_past_is_not_believed_where_the_reference_view_shows_something_else(seed: int, config: str) -> None:
     """Half of the views is of another scene in the last frame: there its map is as right as one of this frame alone.
 
@@ -242,7 +242,7 @@ def test_exceptions_of_a_callback_can_end_the_stream() -> None:
     assert adds_up(stream.stats())
 
 
-@pytest.mark.parametrize("ending", [pytest.param(SystemExit, marks=pytest.mark.thorough), KeyboardInterrupt])
+@pytest.mark.parametrize("ending", [thorough(SystemExit), KeyboardInterrupt])
 def test_a_callback_that_ends_its_thread_does_not_end_the_stream(ending: type[BaseException]) -> None:
     def leave(_: lfgpu.StreamResult) -> None:
         raise ending

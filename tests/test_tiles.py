@@ -26,7 +26,7 @@ from lfgpu.pipelines import tiles
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.verdict import map_notes
-from tests.made import masked
+from tests.made import masked, thorough
 
 ROOT = Path(__file__).parents[1]
 RANGE = (-0.8, 0.8)
@@ -409,7 +409,7 @@ def resident_of_files() -> int:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="what is in memory is measured as Linux counts it")
-@pytest.mark.parametrize("dtype", [np.uint8, pytest.param(np.float32, marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("dtype", [np.uint8, thorough(np.float32)])
 def test_what_was_looked_at_is_forgotten(dtype: type, tmp_path: Path) -> None:
     """When the light field is read, shrunk, and cut into tiles, of which the pages hold far more than the pixels."""
     rng = np.random.default_rng(0)

@@ -17,6 +17,7 @@ import pytest
 from typer.testing import CliRunner
 
 from lfgpu.cli import app, checkup
+from tests.made import thorough
 
 DOCS = Path(__file__).parents[1] / "docs"
 PAGES = [DOCS / "start.md", *sorted((DOCS / "tutorials").glob("*.md"))]
@@ -91,7 +92,7 @@ def cases() -> Iterator[Any]:
         if name != "index":
             yield pytest.param(page, True, id=name)
         if any(size in text for size in SMALLER):
-            yield pytest.param(page, False, id=f"{name}, in full size", marks=pytest.mark.thorough)
+            yield thorough(page, False, id=f"{name}, in full size")
 
 
 @pytest.mark.parametrize(("page", "quick"), list(cases()))

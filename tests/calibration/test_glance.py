@@ -23,6 +23,7 @@ from lfgpu.cameras.trust import _spread
 from lfgpu.data import DepthResult, LightField
 from lfgpu.io import write_hci
 from lfgpu.pipelines.verdict import judged
+from tests.made import thorough
 
 
 def glance(lf: LightField) -> str | None:
@@ -55,13 +56,7 @@ def test_nothing_is_seen_of_single_views_or_nothing(boxes: LightField, rng: np.r
     assert glance(LightField.from_grid(rng.integers(0, 255, (3, 3, 64, 64), dtype=np.uint8))) is None
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        "lytro_2067",
-        *(pytest.param(name, marks=pytest.mark.thorough) for name in ("stillLife_3x3", "population/C_fence")),
-    ],
-)
+@pytest.mark.parametrize("name", ["lytro_2067", *map(thorough, ("stillLife_3x3", "population/C_fence"))])
 def test_real_cameras_raise_no_alarm(name: str) -> None:
     assert glance(lfgpu.read(real_data(name))) is None
 
@@ -127,15 +122,8 @@ def test_all_cameras_together_are_worth_it(boxes: LightField, how: str) -> None:
     assert worth_a_look(disturb(boxes, Misalignment.parse(how), seed=1).light_field, truth(boxes))
 
 
-@pytest.mark.parametrize("preset", ["fast", pytest.param("accurate", marks=pytest.mark.thorough)])
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        pytest.param(((1, 0), (0, -1)), marks=pytest.mark.thorough),
-        pytest.param(((-1, 0), (0, -1)), marks=pytest.mark.thorough),
-        ((0, 1), (1, 0)),
-    ],
-)
+@pytest.mark.parametrize("preset", ["fast", thorough("accurate")])
+@pytest.mark.parametrize("matrix", [thorough(((1, 0), (0, -1))), thorough(((-1, 0), (0, -1))), ((0, 1), (1, 0))])
 def test_wrong_axes_are_worth_it(
     boxes: LightField, matrix: tuple[tuple[int, int], tuple[int, int]], preset: str
 ) -> None:
@@ -221,7 +209,7 @@ def said(result: DepthResult) -> float:
     return float(result.confidence[INNER].mean())
 
 
-@pytest.mark.parametrize("how", [pytest.param("shift=0.5", marks=pytest.mark.thorough), "roll=0.7"])
+@pytest.mark.parametrize("how", [thorough("shift=0.5"), "roll=0.7"])
 def test_confidence_falls_to_what_is_true_where_cameras_are_off(how: str) -> None:
     before, after = looked_at(how)
     assert len(after.remarks) == 1

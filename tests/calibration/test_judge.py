@@ -21,6 +21,7 @@ from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
 from lfgpu.io.flips import flipped
+from tests.made import thorough
 
 
 @pytest.fixture(scope="module")
@@ -63,8 +64,7 @@ def test_a_view_that_is_moved_is_named_with_its_direction(
 
 
 @pytest.mark.parametrize(
-    ("index", "shift"),
-    [(20, (0, 45)), *(pytest.param(*case, marks=pytest.mark.thorough) for case in ((3, (2, 0)), (0, (-15, 9))))],
+    ("index", "shift"), [(20, (0, 45)), *(thorough(*case) for case in ((3, (2, 0)), (0, (-15, 9))))]
 )
 def test_a_view_that_is_far_off_is_found_where_it_is(boxes: LightField, index: int, shift: tuple[int, int]) -> None:
     """All its points are outliers there: steps from where it should be do not reach it. Half of the picture is far."""
@@ -103,9 +103,9 @@ def test_of_exchanged_views_only_the_one_that_is_tried_has_another_misfit(
 @pytest.mark.parametrize(
     "change",
     [
-        pytest.param(lambda image: 0 * image, marks=pytest.mark.thorough, id="black"),
+        thorough(lambda image: 0 * image, id="black"),
         pytest.param(lambda image: image[::-1], id="upside down"),
-        pytest.param(lambda image: 255 - image, marks=pytest.mark.thorough, id="negative"),
+        thorough(lambda image: 255 - image, id="negative"),
     ],
 )
 def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
@@ -122,7 +122,7 @@ def test_a_view_that_fits_nowhere_is_named(boxes: LightField, change) -> None:
     np.testing.assert_array_equal(result.confidence, before.confidence)
 
 
-@pytest.mark.parametrize("line", ["row", pytest.param("column", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("line", ["row", thorough("column")])
 def test_cameras_of_a_line_along_the_other_axis_are_named(line: str) -> None:
     lf = scenes.make("boxes", grid=(9, 9), size=(96, 112), seed=2).subset(line)
     assert not [said for said in lfgpu.estimate_depth(lf, config="fast").remarks if "rows of cameras" in said]
@@ -148,8 +148,8 @@ def test_turned_and_bright_views_are_named(boxes: LightField) -> None:
     ("matrix", "signs", "irregular"),
     [
         (((1, 0), (0, -1)), "v", False),
-        pytest.param(((-1, 0), (0, -1)), "uv", True, marks=pytest.mark.thorough),
-        pytest.param(((0, 1), (1, 0)), "transposed", False, marks=pytest.mark.thorough),
+        thorough(((-1, 0), (0, -1)), "uv", True),
+        thorough(((0, 1), (1, 0)), "transposed", False),
         (((0, 1), (-1, 0)), "turned", True),
     ],
 )
@@ -165,7 +165,7 @@ def test_wrong_signs_are_found(
     assert len(found.findings) == 1
 
 
-@pytest.mark.parametrize("flip", ["", pytest.param("u", marks=pytest.mark.thorough)])
+@pytest.mark.parametrize("flip", ["", thorough("u")])
 def test_a_pair_tells_nothing_of_what_hides_what(flip: str) -> None:
     """What is hidden in the only other view has whatever disparity fits; both signs were said to be wrong."""
     pair = flipped(

@@ -34,6 +34,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import read_map
 from lfgpu.pipelines.rectifier import Rectifier
 from lfgpu.pipelines.sources import Options, open_source, recorded
+from tests.made import thorough
 
 
 @pytest.fixture(scope="module")
@@ -279,9 +280,7 @@ def test_what_rectify_wrote_is_a_rectifier(calibrated: bool, tmp_path: Path) -> 
     assert found.reference == want.reference
 
 
-@pytest.mark.parametrize(
-    "backend", ["warp", *(pytest.param(name, marks=pytest.mark.thorough) for name in ("taichi", "reference"))]
-)
+@pytest.mark.parametrize("backend", ["warp", *map(thorough, ("taichi", "reference"))])
 def test_a_pipeline_takes_raw_pictures(backend: str) -> None:
     kernels = load(backend)
     parts = {name: getattr(rectifier(), name)[:, :40, :44] for name in ("places", "squared_radius", "valid")}

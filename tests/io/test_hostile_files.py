@@ -19,6 +19,7 @@ from lfgpu.errors import LightFieldError
 from lfgpu.io import load, read, read_map, video
 from lfgpu.io.frames import write_frames
 from lfgpu.printable import printable
+from tests.made import thorough
 
 _SPACE = 3 << 30  # bytes of addresses that a process may have: what is judged first never comes near
 
@@ -215,9 +216,7 @@ def bomb(path: Path, name: str, shape: tuple[int, ...]) -> None:
             file.write(bytes(1 << 24))
 
 
-@pytest.mark.parametrize(
-    "name", ["disparity", *(pytest.param(n, marks=pytest.mark.thorough) for n in ("lfgpu", "stage_local", "else"))]
-)
+@pytest.mark.parametrize("name", ["disparity", *map(thorough, ("lfgpu", "stage_local", "else"))])
 def test_results_that_unpack_to_much_are_refused_first(tmp_path: Path, name: str) -> None:
     sizes = {"lfgpu": (1 << 27,), "disparity": (1 << 13, 1 << 14), "stage_local": (1 << 13, 1 << 14)}
     bomb(tmp_path / "result.npz", name, sizes.get(name, (1 << 27,)))

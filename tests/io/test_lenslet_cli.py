@@ -24,6 +24,7 @@ from lfgpu.io.lenslet.decode import decode
 from lfgpu.io.lenslet.entry import folder, kept
 from lfgpu.io.lenslet.microlenses import find_microlenses
 from lfgpu.scenes import make
+from tests.made import thorough
 
 
 @pytest.fixture(scope="module")
@@ -186,8 +187,8 @@ def test_the_views_are_theirs(data_folder: Path) -> None:
         # The first picture is not drawn where its list says. A Gaussian fitted to each spot lies 0.2 to 0.5 px beside
         # the list in x and y, and 1.4 px in the first row and column; in the second picture it lies on the list
         # (0.00 px on average). So it is not where pixels have their centres, which would move all four pictures.
-        pytest.param("a", True, 0.55, marks=pytest.mark.thorough),
-        pytest.param("b", False, 0.03, marks=pytest.mark.thorough),
+        thorough("a", True, 0.55),
+        thorough("b", False, 0.03),
         ("c", False, 0.02),
         ("d", True, 0.01),
     ],

@@ -12,9 +12,10 @@ from lfgpu.io import read
 from lfgpu.io.contradictions import contradictions
 from lfgpu.scenes import make
 from tests.io import meanings
+from tests.made import thorough
 
 
-@pytest.mark.parametrize("seed", [*range(10), *(pytest.param(n, marks=pytest.mark.thorough) for n in range(10, 30))])
+@pytest.mark.parametrize("seed", [*range(10), *(thorough(n) for n in range(10, 30))])
 def test_the_same_in_other_words(seed: int, tmp_path: Path) -> None:
     result, way, why = meanings.one(seed, tmp_path)
     assert result != "wrong", f"{way}: {why}"

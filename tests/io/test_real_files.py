@@ -11,6 +11,7 @@ from lfgpu.data import LightField
 from lfgpu.io import parallax, read, read_map
 from lfgpu.io.flips import flipped
 from lfgpu.io.images import read_image
+from tests.made import thorough
 
 
 def moves_as(light_field: LightField, disparity: NDArray[Any], step: int = 1) -> bool:
@@ -109,11 +110,7 @@ def test_real_row_of_cameras() -> None:
 
 
 @pytest.mark.parametrize(
-    "name",
-    [
-        *("cotton", "kitchen", "stillLife_3x3", "tao2013_IMG_1"),
-        *(pytest.param(folder, marks=pytest.mark.thorough) for folder in ("lytro_2067", "tao2013_IMG_4")),
-    ],
+    "name", [*("cotton", "kitchen", "stillLife_3x3", "tao2013_IMG_1"), *map(thorough, ("lytro_2067", "tao2013_IMG_4"))]
 )
 def test_real_axes_run_alike(name: str) -> None:
     light_field = read(real_data(name))
