@@ -129,9 +129,6 @@ def test_a_higher_threshold_leaves_fewer_and_better_pixels() -> None:
     assert high.rmse < low.rmse
 
 
-# --- errors ---
-
-
 # --- cameras that do not stand one step apart, and disparities out of the ordinary ---
 
 
