@@ -19,6 +19,7 @@ from lfgpu.cameras.signs import order_of_depth
 from lfgpu.cameras.surface import blocks, looked_up, with_slopes
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
+from lfgpu.threads import in_threads
 
 _SHARE = 0.5  # of a finding
 _FIRST, _SURELY_RIGHT = 4, 0.75  # one in so many points ends it, if by them alone cameras have so little of that share
@@ -40,12 +41,16 @@ def worth_a_look(
     `disparity` is the map of the reference view [y, x].
     """
     index = np.arange(len(lf.views)) if seen is None else lf.layout.chosen(seen)
+    return any(in_threads(lambda is_wrong: is_wrong(lf, index, disparity), (_may_be_off, _may_be_swapped)))
+
+
+def _may_be_off(lf: LightField, index: NDArray[np.intp], disparity: NDArray[np.float32]) -> bool:
+    """Tell whether views may be off, or there are too few points to say."""
     map_, y, x = some_on_surfaces(lf, disparity, min(max(_IN_ALL // len(index), _LEAST), _MOST))
     if len(x) < _FEWEST:
         return True
     first = _fault(lf, index, map_, y[::_FIRST], x[::_FIRST])  # so few of which are hidden that they are outliers
-    is_off = first > _SURELY_RIGHT and _fault(lf, index, map_, y, x, hidden(lf, map_, y, x, index)) > 1
-    return is_off or _may_be_swapped(lf, index, disparity)
+    return first > _SURELY_RIGHT and _fault(lf, index, map_, y, x, hidden(lf, map_, y, x, index)) > 1
 
 
 def _fault(
