@@ -60,8 +60,9 @@ def _at_ends(bounds: tuple[float, float], matched: Float32Array) -> list[tuple[f
     """Measure the share of the pixels at the low and at the high end of a range, and of those beside, on average."""
     (low, high), known = bounds, max(1, int(np.count_nonzero(np.isfinite(matched))))
     close = _MARGIN * (high - low)
-    found = []
-    for distance in (matched - low, high - matched):  # where it is unknown it is within nothing
+    far, found = 2 * (1 + _BESIDE) * close, []
+    # Few pixels are near an end: what is farther needs no memory. Where it is unknown it is near nothing.
+    for distance in (matched[matched <= low + far] - low, high - matched[matched >= high - far]):
         at_end, both = (int(np.count_nonzero(distance <= times * close)) for times in (1, 1 + _BESIDE))
         found.append((at_end / known, (both - at_end) / _BESIDE / known))
     return found
