@@ -90,7 +90,8 @@ class Judging:
 
     def deviation(self) -> Float32Array:
         """Copy the standard deviation of the disparity to the host, float32 [y, x]; waits for the device."""
-        return np.asarray(np.sqrt(self.kernels.numpy(self.variance)), np.float32)
+        variance = self.kernels.numpy(self.variance)
+        return np.asarray(np.sqrt(variance, out=variance), np.float32)
 
     def _evaluate(self, costs: Array, path_costs: Array, conflict: Array, evidence: Array, cost: Array) -> None:
         self.kernels.evidence(
