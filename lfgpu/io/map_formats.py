@@ -207,8 +207,8 @@ def load(path: str | os.PathLike[str]) -> DepthResult | ViewsResult | DisparityM
     chosen = readable_format(path)
     if path.suffix.lower() == ".pfm" and (other := _NOT_DISPARITY.search(path.stem)):
         raise LightFieldError(
-            f"{path} is {other[0].lower()} by its name, the only thing that says what a PFM holds, but a map has to be "
-            f"disparity: give {DISPARITY_FILE} or the folder of the result; rename it if it is disparity."
+            f"{path} holds {other[0].lower()} by its name, and a map has to be disparity; give {DISPARITY_FILE} or the "
+            "folder of the result, or rename the file if it does hold disparity."
         )
     whole = None if chosen.read_whole is None else chosen.read_whole(path)
     return whole if whole is not None else _map(path, chosen)
