@@ -29,7 +29,7 @@ def test_a_phone_shows_one_part_at_a_time(browser: Any, viewer: Viewer) -> None:
     phone.shown("view", "view")
     for part, shown in (("view", "#view"), ("map", "#map"), ("settings", "#quantity")):
         phone.tab.tap(f"nav [data-value={part}]")
-        assert phone.tab.locator(shown).is_visible()
+        phone.tab.wait_for_selector(shown)  # a tap returns before the browser makes a click of it
         assert phone.tab.evaluate("document.documentElement.scrollWidth") <= 390
         box = phone.tab.locator(shown).bounding_box()
         assert box["x"] >= 0
@@ -75,7 +75,7 @@ def test_dialogs_begin_where_people_type_and_help_fits(browser: Any, page: Page,
     assert page.tab.evaluate("(e => e.scrollHeight <= e.clientHeight)(document.getElementById('help'))")
     phone = Page(browser, viewer, width=390, height=844, has_touch=True, is_mobile=True)
     phone.tab.tap("#open-help")
-    assert phone.tab.locator("#help").is_visible()
+    phone.tab.wait_for_selector("#help")  # a tap returns before the browser makes a click of it
     assert not phone.tab.locator(".keys").is_visible()  # it has none
     phone.close()
 
