@@ -65,6 +65,12 @@ def pytest_configure(config: pytest.Config) -> None:
     _refuse_nothing(config.stash[_TARGETS], *wanted)
 
 
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """Start one worker more than there are cores: now and then each waits for a process or a browser."""
+    return get_threads() + 1
+
+
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Import no module of which `make test` leaves out all tests: some need packages that take seconds to load."""
     if config.option.markexpr != "not thorough" or collection_path.suffix != ".py":

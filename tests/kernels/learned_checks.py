@@ -250,7 +250,7 @@ def choice_inputs(case: ChoiceCase, rng: np.random.Generator) -> SimpleNamespace
             ]
             for disparity in (first, second)
         ],
-        decisions=rng.normal(case.decision, 3, (1, *folded, FOLD**2 * DECISIONS)),
+        decisions=rng.normal(case.decision, 3, (1, *folded, FOLD**2 * DECISIONS)).astype(np.float32),
         farthest=case.farthest,
         folded=folded,
         stored=case.stored,
@@ -268,7 +268,7 @@ def choose(desk: Desk, i: SimpleNamespace) -> Outputs:
     names = ("disparity", "confidence", "variance")
     out = {f"{name}_out": desk.out(i.maps[0][0].shape) for name in names}
     first, second = (desk.field(some[0]) for some in i.maps)
-    desk.kernels.choose(desk.image(i.decisions.astype(np.float32)), first, second, farthest=i.farthest, **out)
+    desk.kernels.choose(desk.image(i.decisions), first, second, farthest=i.farthest, **out)
     return {name: out[f"{name}_out"] for name in names}
 
 
