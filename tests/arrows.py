@@ -52,8 +52,13 @@ def room(module: str) -> str:
     return parts[1] if len(parts) > 1 else "__init__"
 
 
-def imported(module: str) -> Iterator[tuple[str, str]]:
+@cache
+def imported(module: str) -> tuple[tuple[str, str], ...]:
     """(module, name) of all that a module imports from lfgpu; the name is "" where a module is imported whole."""
+    return tuple(_imported(module))
+
+
+def _imported(module: str) -> Iterator[tuple[str, str]]:
     known, path = files(), files()[module]
     parts = module.split(".") if path.name != "__init__.py" else [*module.split("."), ""]
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

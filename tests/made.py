@@ -1,5 +1,6 @@
-"""What tests start from: results that nobody estimated, masked light fields, other arrays, cases left to `test-all`."""
+"""What tests start from: results that nobody estimated, masked light fields, other arrays, failures, thorough cases."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -39,6 +40,15 @@ class Tensor:
 
     def __dlpack_device__(self) -> Any:
         return self._values.__dlpack_device__()
+
+
+def raising(error: BaseException) -> Callable[..., None]:
+    """Make a function that fails with the error, whatever it is given."""
+
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    return fail
 
 
 def thorough(*values: Any, **named: Any) -> Any:

@@ -23,13 +23,7 @@ from lfgpu.methods.base import Work
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.pipelines import pipeline, rehearsal
 from lfgpu.pipelines.estimate import estimate_depth
-
-
-def raising(error: Exception) -> Callable[..., Any]:
-    def fail(*_: object, **__: object) -> None:
-        raise error
-
-    return fail
+from tests.made import raising
 
 
 def machine_with(*devices: str) -> KernelSet:

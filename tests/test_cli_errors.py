@@ -21,6 +21,7 @@ from lfgpu.io import check_writable, formats, load, read as read_files, write_hc
 from lfgpu.io.formats import FORMATS, Format
 from lfgpu.io.frames import write_frames
 from lfgpu.methods import METHODS, PRESETS, Entry, preset
+from tests.made import raising
 
 
 def cut_short(folder: Path) -> None:
@@ -121,13 +122,6 @@ def test_an_empty_name_is_not_the_current_folder_in_python(tmp_path: Path, monke
         with pytest.raises(LightFieldError, match="the path is empty; name a file or a folder"):
             call("")
     assert list(tmp_path.iterdir()) == []
-
-
-def raising(error: BaseException) -> Callable[..., None]:
-    def fail(*_: object, **__: object) -> None:
-        raise error
-
-    return fail
 
 
 @pytest.mark.parametrize(

@@ -126,30 +126,30 @@ def test_every_limit_between_the_smallest_tiles_and_one_piece_gives_tiles(size: 
 
 
 def test_a_light_field_that_is_too_large_for_the_machine_is_estimated_in_tiles(
-    scene: LightField, quick: Config, monkeypatch: pytest.MonkeyPatch
+    strip: LightField, quick: Config, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     options = {"config": quick, "disparity_range": RANGE, "device": "cpu"}
-    whole = method_of(quick).footprint(scene.layout, given(scene, quick), on_gpu=False).bytes(*scene.size)
-    free = whole - PROCESS - scene.views.nbytes
+    whole = method_of(quick).footprint(strip.layout, given(strip, quick), on_gpu=False).bytes(*strip.size)
+    free = whole - PROCESS - strip.views.nbytes
     monkeypatch.setattr(footprint, "free_memory", lambda: free)
-    assert estimate_depth(scene, **options).notes == ()
+    assert estimate_depth(strip, **options).notes == ()
     KEPT.free()  # which would go on without a plan of its own
     monkeypatch.setattr(footprint, "free_memory", lambda: free - 1)
-    found = estimate_depth(scene, **options)
+    found = estimate_depth(strip, **options)
     assert " tiles of " in found.status
     assert found.notes == (
         f"The map was made in tiles: in one piece it takes about {whole / 2**30:.3g} GiB of memory, and there are "
         f"{free / 2**30:.3g} GiB.",
     )
-    expected = in_tiles(scene, quick, whole + scene.views.nbytes - 1)
+    expected = in_tiles(strip, quick, whole + strip.views.nbytes - 1)
     np.testing.assert_array_equal(found.disparity, expected.disparity)
     with pytest.raises(LightFieldError, match=r"a map in one piece takes about .* GiB: use fewer or smaller views"):
-        DepthPipeline(scene, **options)
+        DepthPipeline(strip, **options)
     KEPT.free()
     with pytest.raises(LightFieldError, match=r"a tile takes .* GiB: set max_memory"):
-        estimate_depth(scene, **options, max_memory="8GiB")
+        estimate_depth(strip, **options, max_memory="8GiB")
     monkeypatch.setattr(footprint, "free_memory", lambda: None)  # the system does not say
-    assert " tiles of " not in estimate_depth(scene, **options).status
+    assert " tiles of " not in estimate_depth(strip, **options).status
 
 
 @pytest.mark.thorough
