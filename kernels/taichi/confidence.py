@@ -1,11 +1,11 @@
 """Confidence and variance of a disparity map, as `kernels/reference/confidence.py` defines them."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import taichi as ti
 
 from .memory import DeviceArray, flat, operation
-from .runtime import run
 
 _SHARPNESS = 2.0
 _PATHS = 8.0
@@ -90,8 +90,9 @@ def unevenness(disparity: flat(), height: int, width: int, bend_out: flat(), rel
         relief_out[p] = ti.log(nearest - farthest + _LEAST_RELIEF)
 
 
+@operation
 @ti.kernel
-def _judge_kernel(
+def _judge(
     conflict: flat(),
     evidence: flat(),
     bend: flat(),
@@ -112,14 +113,5 @@ def _judge_kernel(
         variance_out[p] = (1.0 - unknown) * ti.exp(spread.dot(features)) + unknown * span * span / 12.0
 
 
-def judge(
-    maps: Sequence[DeviceArray],
-    *,
-    span: float,
-    share: Sequence[float],
-    spread: Sequence[float],
-    confidence_out: DeviceArray,
-    variance_out: DeviceArray,
-) -> None:
-    numbers = span, ti.Vector(list(share)), ti.Vector(list(spread))
-    run(_judge_kernel, *maps, *numbers, confidence_out, variance_out)
+def judge(maps: Sequence[DeviceArray], *, share: Sequence[float], spread: Sequence[float], **given: Any) -> None:
+    _judge(*maps, share=ti.Vector(list(share)), spread=ti.Vector(list(spread)), **given)

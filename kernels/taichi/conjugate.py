@@ -29,12 +29,7 @@ def _kernel() -> Any:
         """Write α and β to `shares` on the way."""
         ti.loop_config(block_dim=BLOCK)
         for turn in range(sums.turns):
-            i, step, end = share(turn, sums.turns, x.shape[0], sums.cpu)
-            term = ti.cast(0.0, real)
-            while i < end:
-                term += ti.cast(p[i], real) * ti.cast(q[i], real)
-                i += step
-            sums.keep(term, turn, parts)
+            sums.keep_product(p, q, turn, parts)
         ti.loop_config(block_dim=BLOCK)
         for turn in range(sums.threads):
             total = sums.total(parts, 0, PARTS, turn)

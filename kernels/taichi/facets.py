@@ -7,8 +7,9 @@ from lfgpu.contract import FACET_REACH
 from .memory import flat, operation
 
 
+@operation
 @ti.kernel
-def _planes_kernel(map_: flat(), height: int, width: int, planes_out: flat()):
+def planes(map_: flat(), height: int, width: int, planes_out: flat()):
     for p in range(map_.shape[0]):
         x = p % width
         y = p // width
@@ -50,11 +51,9 @@ def _planes_kernel(map_: flat(), height: int, width: int, planes_out: flat()):
         planes_out[4 * p + 3] = residual / count
 
 
-planes = operation(_planes_kernel)
-
-
+@operation
 @ti.kernel
-def _facets_kernel(planes: flat(), height: int, width: int, facets_out: flat()):
+def facets(planes: flat(), height: int, width: int, facets_out: flat()):
     for p in range(facets_out.shape[0]):
         x = p % width
         y = p // width
@@ -69,6 +68,3 @@ def _facets_kernel(planes: flat(), height: int, width: int, facets_out: flat()):
                     least = planes[q + 3]
                     found = planes[q] + planes[q + 1] * (x - column) + planes[q + 2] * (y - row)
         facets_out[p] = found
-
-
-facets = operation(_facets_kernel)

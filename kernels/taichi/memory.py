@@ -102,13 +102,13 @@ def operation(kernel: Any, *kinds: str) -> Callable[..., None]:
     """Make an operation of the contract from a kernel whose arguments have the names of the operation's.
 
     Those that are given by their place come first, in the same order. Besides, a kernel may have `height` and `width`,
-    the last two sizes of the last output, and has_X, whether an optional X is given. With `kinds`, what stands in the
-    place of the kernel is a function that returns it for these attributes of the first argument.
+    the last two sizes of the last output, and has_X, whether an optional X is given. In the place of the kernel there
+    may be a function that returns it, for the attributes `kinds` of the first argument.
     """
     names = cache(lambda chosen: tuple(inspect.signature(chosen._primal.func).parameters))
 
     def launch(*arguments: Any, **named: Any) -> None:
-        chosen = kernel(*(getattr(arguments[0], kind) for kind in kinds)) if kinds else kernel
+        chosen = kernel if hasattr(kernel, "_primal") else kernel(*(getattr(arguments[0], kind) for kind in kinds))
         given = dict(zip(names(chosen), arguments, strict=False)) | named
         for name in names(chosen):
             if name.startswith("has_"):

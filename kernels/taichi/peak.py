@@ -8,7 +8,7 @@ import taichi as ti
 
 from lfgpu.contract import FOLD, LEAST_ODDS, LEAST_WIDTH, PEAK_REACH, Rows
 
-from .memory import DeviceArray, flat
+from .memory import DeviceArray, flat, operation
 from .runtime import once, run
 
 
@@ -78,8 +78,9 @@ def peak(
     run(_kernel(logits.scalar), logits, first, step, *sizes, disparity_out, probability_out, deviation_out)
 
 
+@operation
 @ti.kernel
-def _judge_peak_kernel(
+def _judge_peak(
     probability: flat(),
     deviation: flat(),
     step: float,
@@ -104,10 +105,9 @@ def judge_peak(
     limit: float,
     share: Sequence[float],
     spread: Sequence[float],
-    confidence_out: DeviceArray,
-    variance_out: DeviceArray,
+    **outputs: DeviceArray,
 ) -> None:
     at_limit = share[0] + share[3] * math.log(limit / step), share[1], share[2]
     # A compiler that knew LEAST_ODDS would add it to the other constant first, and lose digits.
     numbers = step, LEAST_ODDS, ti.Vector(list(at_limit)), ti.Vector(list(spread))
-    run(_judge_peak_kernel, probability, deviation, *numbers, confidence_out, variance_out)
+    _judge_peak(probability, deviation, *numbers, **outputs)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import UNSEEN, Details, Disparities, SideCosts, sweep_shifts
 
-from .memory import DeviceArray, empty, flat, indices, optional, upload
+from .memory import DeviceArray, empty, flat, indices, operation, optional, upload
 from .plane_sweep import shift_of, within
 from .runtime import double, once, run, start
 
@@ -318,18 +318,9 @@ def _agreeing_kernel() -> Any:
     return agreeing_kernel
 
 
-def agreeing_disparity(
-    found: Sequence[DeviceArray],
-    noise: DeviceArray,
-    *,
-    least_noise: float,
-    same: float,
-    other: float,
-    neighbors: int,
-    first: float,
-    step: float,
-    disparity_out: DeviceArray,
-) -> None:
+_find_agreeing = operation(_agreeing_kernel)
+
+
+def agreeing_disparity(found: Sequence[DeviceArray], noise: DeviceArray, **given: Any) -> None:
     place, _, _, others, worst = found
-    numbers = least_noise, same, other, neighbors, first, step, disparity_out.shape[1]
-    run(_agreeing_kernel(), place, others, worst, noise, *numbers, disparity_out)
+    _find_agreeing(place, others, worst, noise, **given)

@@ -56,6 +56,16 @@ def summing() -> SimpleNamespace:
             parts_out[turn // threads] = part
 
     @ti.func
+    def keep_product(x: ti.template(), y: ti.template(), turn: int, parts_out: ti.template()):
+        """Keep a part of the inner product of two fields."""
+        i, step, end = share(turn, PARTS * threads, x.shape[0], cpu)
+        term = ti.cast(0.0, real)
+        while i < end:
+            term += ti.cast(x[i], real) * ti.cast(y[i], real)
+            i += step
+        keep(term, turn, parts_out)
+
+    @ti.func
     def total(parts: ti.template(), first: int, count: int, turn: int):
         """Sum the parts from `first` on; the first turn gets the sum."""
         term = ti.cast(0.0, real)
@@ -65,7 +75,8 @@ def summing() -> SimpleNamespace:
             k += threads
         return whole(term, turn % threads)
 
-    return SimpleNamespace(threads=threads, turns=PARTS * threads, cpu=cpu, keep=keep, total=total)
+    functions = {"keep": keep, "keep_product": keep_product, "total": total}
+    return SimpleNamespace(threads=threads, turns=PARTS * threads, cpu=cpu, **functions)
 
 
 @once
@@ -82,12 +93,7 @@ def _product_kernel() -> Any:
     def product_kernel(x: flat(), y: flat(), parts: flat(real), product_out: flat(real)):
         ti.loop_config(block_dim=BLOCK)
         for turn in range(sums.turns):
-            i, step, end = share(turn, sums.turns, x.shape[0], sums.cpu)
-            term = ti.cast(0.0, real)
-            while i < end:
-                term += ti.cast(x[i], real) * ti.cast(y[i], real)
-                i += step
-            sums.keep(term, turn, parts)
+            sums.keep_product(x, y, turn, parts)
         ti.loop_config(block_dim=BLOCK)
         for turn in range(sums.threads):
             total = sums.total(parts, 0, PARTS, turn)

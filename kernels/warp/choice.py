@@ -8,9 +8,8 @@ import warp as wp
 from lfgpu.contract import CLOSE, COMPARED, DECISIONS, FOLD, LEAST_ODDS
 
 from .memory import pixel_type
-from .pixels import Field, pixelwise
-from .threads import launch, once
-from .vector import given, value_of
+from .pixels import Field, Number, pixelwise
+from .threads import once
 
 _LEAST_ODDS, _CLOSE = wp.constant(LEAST_ODDS), wp.constant(CLOSE)
 _Features = wp.types.vector(length=COMPARED, dtype=float)
@@ -33,11 +32,14 @@ def _log_deviation(variance: float, farthest: float) -> float:
 
 
 @once
-def _compare_kernel(stored: Any) -> Any:
+def _compare(stored: Any) -> Any:
     folded: Any = pixel_type(FOLD**2 * COMPARED, stored)
 
-    @wp.kernel(module=f"lfgpu_compare_maps_{stored.__name__}", enable_backward=False)
-    def compare_kernel(
+    @pixelwise(f"lfgpu_compare_maps_{stored.__name__}")
+    def compare(
+        n: int,
+        y: int,
+        x: int,
         map_0: Field,
         confidence_0: Field,
         variance_0: Field,
@@ -49,45 +51,40 @@ def _compare_kernel(stored: Any) -> Any:
         near_1: Field,
         wide_1: Field,
         farthest: float,
-        span_given: float,
-        span_there: wp.array(dtype=wp.float64),
+        span: Number,
         features_out: wp.array3d(dtype=folded),
     ):
-        row, column = wp.tid()
-        span = value_of(span_given, span_there)
         result = folded()
         for i in range(wp.static(FOLD)):
             for j in range(wp.static(FOLD)):
-                y = wp.min(wp.static(FOLD) * row + i, map_0.shape[0] - 1)
-                x = wp.min(wp.static(FOLD) * column + j, map_0.shape[1] - 1)
-                d0 = map_0[y, x]
-                d1 = map_1[y, x]
+                row = wp.min(wp.static(FOLD) * y + i, map_0.shape[0] - 1)
+                column = wp.min(wp.static(FOLD) * x + j, map_0.shape[1] - 1)
+                d0 = map_0[row, column]
+                d1 = map_1[row, column]
                 apart = farthest * (d1 - d0)
                 found = _Features(
-                    _log_odds(confidence_0[y, x]) / 4.0,
-                    _log_odds(confidence_1[y, x]) / 4.0,
-                    _log_deviation(variance_0[y, x], farthest) / 3.0,
-                    _log_deviation(variance_1[y, x], farthest) / 3.0,
+                    _log_odds(confidence_0[row, column]) / 4.0,
+                    _log_odds(confidence_1[row, column]) / 4.0,
+                    _log_deviation(variance_0[row, column], farthest) / 3.0,
+                    _log_deviation(variance_1[row, column], farthest) / 3.0,
                     _arsinh(apart / 0.05) / 4.0,
                     wp.log(1.0 + wp.abs(apart) / 0.03) / 4.0,
-                    _arsinh(farthest * (d0 - near_0[y, x]) / 0.1) / 4.0,
-                    _arsinh(farthest * (d1 - near_1[y, x]) / 0.1) / 4.0,
-                    _arsinh(farthest * (d0 - wide_0[y, x]) / 0.1) / 4.0,
-                    _arsinh(farthest * (d1 - wide_1[y, x]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d0 - near_0[row, column]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d1 - near_1[row, column]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d0 - wide_0[row, column]) / 0.1) / 4.0,
+                    _arsinh(farthest * (d1 - wide_1[row, column]) / 0.1) / 4.0,
                     wp.log(farthest) / 2.0,
                     wp.log(1.0 + farthest * span) / 4.0,
                 )
                 for c in range(wp.static(COMPARED)):
                     result[wp.static(FOLD**2) * c + wp.static(FOLD) * i + j] = stored(found[c])
-        features_out[0, row, column] = result
+        features_out[n, y, x] = result
 
-    return compare_kernel
+    return compare
 
 
 def compare_maps(first: Sequence[Any], second: Sequence[Any], *, farthest: float, span: Any, features_out: Any) -> None:
-    comparing = _compare_kernel(features_out.dtype._wp_scalar_type_)
-    inputs = [*first, *second, farthest, *given(span)]
-    launch(comparing, features_out.shape[1:], inputs, [features_out], device=features_out.device)
+    _compare(features_out.dtype._wp_scalar_type_)(*first, *second, farthest, span, features_out)
 
 
 @pixelwise("lfgpu_choose")

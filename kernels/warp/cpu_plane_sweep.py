@@ -7,7 +7,7 @@ import warp as wp
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import in_slices, launch, load, once
+from .threads import once
 
 _STRIP = 16  # rows of sums that stay in the cache
 LANES = 128  # of a chunk: its columns, and one at either side for differences
@@ -20,7 +20,7 @@ def kept_type(stored: Any) -> Any:
 
 @once
 def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
-    """Return the kernels that keep `views` of scalar type `stored`, and the reference `image`."""
+    """Return the kernels that keep `views` of scalar type `stored`, with a margin, and the reference `image`."""
     pixel, stored_pixel, kept = pixel_type(channels), pixel_type(channels, stored), kept_type(stored)
     module = f"lfgpu_plane_sweep_load_{channels}_{stored.__name__}"
 
@@ -32,18 +32,8 @@ def loading_kernels(channels: int, stored: Any) -> SimpleNamespace:
             kept_out[c, y, x + 1] = image[y, x][c] / scale
 
     types = {"Stored": stored_pixel, "Kept": kept}
-    keep = kernel("plane_sweep.h", "keep_view", module=module, **types, CHANNELS=channels)
+    keep = kernel("plane_sweep.h", "keep_views", module=module, **types, CHANNELS=channels)
     return SimpleNamespace(views=keep, image=image_kernel)
-
-
-def keep_views(kernel: Any, recorded: Any, margin: int, views_out: Any) -> None:
-    """Copy views [n, y, x] with a margin at their left, by `loading_kernels(..).views`."""
-    load(recorded.device, kernel)
-
-    def some_views(_: int, first: int, last: int) -> None:
-        launch(kernel, last - first, [recorded[first:last], margin], [views_out[first:last]], device="cpu")
-
-    in_slices(recorded.device, len(recorded), some_views)
 
 
 def sweep_kernel(channels: int, kept: Any, gradients: bool, rooted: bool, penalty: float) -> Any:

@@ -16,7 +16,7 @@ from .gpu_lbfgs import LEAST_CURVATURE, State
 from .memory import scalar
 from .native_code import kernel
 from .pixels import Field, Volume, pixelwise
-from .threads import in_slices, launch, launch_rows, load
+from .threads import launch, launch_rows, launch_slices
 
 wp.set_module_options({"enable_backward": False})
 
@@ -89,26 +89,17 @@ def _judge_kernel(
     state.accepted[0] = accepted
 
 
-@wp.kernel
-def _propose_kernel(
-    state: State,
-    x: wp.array(dtype=float),
-    direction: wp.array(dtype=float),
-    low: float,
-    high: float,
-    trial_out: wp.array(dtype=float),
-):
-    i = wp.tid()
-    trial_out[i] = wp.clamp(x[i] + float(state.step[0]) * direction[i], low, high)
+@pixelwise("lfgpu_lbfgs_propose", light=True)
+def _propose(y: int, x: int, state: State, at: Field, direction: Field, low: float, high: float, trial_out: Field):
+    trial_out[y, x] = wp.clamp(at[y, x] + float(state.step[0]) * direction[y, x], low, high)
 
 
-@wp.kernel
-def _root_kernel(curvature: wp.array(dtype=float), root_out: wp.array(dtype=float)):
-    i = wp.tid()
+@pixelwise("lfgpu_lbfgs_root", light=True)
+def _find_root(y: int, x: int, curvature: Field, root_out: Field):
     root = float(1.0)
     if curvature:
-        root = wp.sqrt(curvature[i])
-    root_out[i] = root
+        root = wp.sqrt(curvature[y, x])
+    root_out[y, x] = root
 
 
 @pixelwise("lfgpu_lbfgs_project", light=True)
@@ -287,14 +278,12 @@ class lbfgs:
 
     def begin(self, x: Any, gradient: Any, value: Any, curvature: Any = None) -> None:
         launch(_begin_kernel, 1, [self._state, value], [self._trace], device=self._device)
-        line = None if curvature is None else curvature.flatten()
-        launch(_root_kernel, x.size, [line], [self._root.flatten()], device=self._device)
+        _find_root(curvature, self._root)
         _project(x, gradient, self._root, *self._bounds, self._stack[-1])
         self._turn(x, beginning=True)
 
     def propose(self, x: Any, trial_out: Any) -> None:
-        inputs = [self._state, x.flatten(), self._direction.flatten(), *self._bounds]
-        launch(_propose_kernel, x.size, inputs, [trial_out.flatten()], device=self._device)
+        _propose(self._state, x, self._direction, *self._bounds, trial_out)
 
     def judge(self, value: Any, trial_value: Any) -> None:
         inputs = [self._state, trial_value, *self._flatness]
@@ -316,12 +305,7 @@ class lbfgs:
         device, stack, state = self._device, self._stack, self._state
         if device.is_cpu:
             products = kernel("vector.h", "find_products", State=State)
-            load(device, products)
-
-            def some(_: int, first: int, last: int) -> None:
-                launch(products, last - first, [state, stack, first], [self._sums], device=device)
-
-            in_slices(device, stack.shape[0], some)
+            launch_slices(products, len(stack), [state, stack], self._sums)
         else:
             gpu_lbfgs.products(state, stack, self._sums)
         inputs = [state, self._sums, self._first_step, float(x.size), int(beginning)]

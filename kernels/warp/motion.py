@@ -1,10 +1,4 @@
-"""Motion of the reference view from frame to frame, as `kernels/reference/motion.py` defines it.
-
-A pixel at p now was at p + w in the last frame. w minimises the squared differences of grey values over a window (Lucas
-and Kanade 1981), found by Gauss-Newton steps from w = 0. It stays 0 where motion explains hardly more of the window
-than the noise does. A window at the outline of what moves holds both sides; a pixel there takes the w of a pixel beside
-it, or 0, if that fits clearly better.
-"""
+"""Motion of the reference view from frame to frame, as `kernels/reference/motion.py` defines it."""
 
 from types import SimpleNamespace
 from typing import Any

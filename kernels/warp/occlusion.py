@@ -123,15 +123,6 @@ def _kernels(channels: int) -> SimpleNamespace:
     return SimpleNamespace(sums=sums_kernel, means=means_kernel)
 
 
-def _find_nearest(disparity: Any, offsets: Any, softness: float, nearest_out: Any) -> None:
-    """Compute the z-buffer [n, y, x] of views at `offsets`, pairs."""
-    threads = lanes(disparity)
-    nearest_out.fill_(_NOWHERE)
-    dim = (len(offsets), disparity.shape[0], threads)
-    inputs = [disparity, offsets, softness, threads]
-    launch(_nearest_kernel, dim, inputs, [nearest_out], device=disparity.device)
-
-
 def splat_z_buffered(
     image: Any,
     disparity: Any,
@@ -148,10 +139,10 @@ def splat_z_buffered(
 
     def some_views(_: int, first: int, last: int) -> None:
         views, coverage, some = views_out[first:last], coverage_out[first:last], pairs[first:last]
-        nearest = wp.empty(views.shape, dtype=float, device=device)
+        nearest = wp.full(views.shape, _NOWHERE, dtype=float, device=device)
         sums = wp.zeros(views.shape, dtype=pixel_type(channels + 2), device=device)
         dim = (last - first, image.shape[0], threads)
-        _find_nearest(disparity, some, softness, nearest)
+        launch(_nearest_kernel, dim, [disparity, some, softness, threads], [nearest], device=device)
         inputs = [image, disparity, some, nearest, softness, sharpness, threads]
         launch(kernels.sums, dim, inputs, [sums], device=device)
         launch(kernels.means, dim, [sums, threads], [views, coverage], device=device)

@@ -71,7 +71,7 @@ class plane_sweep:
             launch(self._pack, recorded.size, inputs, [flat(self._views)], device=self._device)
             return
         self._valid = valid
-        cpu_plane_sweep.keep_views(self._loading.views, recorded, self._margin, self._views)
+        launch_slices(self._loading.views, len(recorded), [recorded, self._margin], self._views)
         launch(self._loading.image, image.shape, [image, self._scale], [self._image], device="cpu")
 
     def _prepare(self, stored: Any) -> None:

@@ -5,7 +5,8 @@ from typing import Any
 import warp as wp
 
 from .memory import pixel_type
-from .threads import launch_rows, once
+from .pixels import Volume, pixelwise
+from .threads import once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -20,62 +21,55 @@ def _keys(t: float) -> wp.vec4:
 
 
 @once
-def _kernel(channels: int, stored: Any) -> Any:
+def _resample(channels: int, stored: Any) -> Any:
     pixel, stored_pixel = pixel_type(channels), pixel_type(channels, stored)
     whole = stored not in (wp.float16, wp.float32)
 
-    @wp.kernel(module=f"lfgpu_resampling_{channels}_{stored.__name__}", enable_backward=False)
-    def resample_kernel(
+    @pixelwise(f"lfgpu_resampling_{channels}_{stored.__name__}")
+    def resample(
+        n: int,
+        y: int,
+        x: int,
         pictures: wp.array3d(dtype=stored_pixel),
         places: wp.array4d(dtype=float),
-        tones: wp.array3d(dtype=float),
+        tones: Volume,
         white: float,
-        row: int,
-        lanes: int,
         views_out: wp.array3d(dtype=stored_pixel),
     ):
-        i = wp.tid()
-        n = (row + i / lanes) / views_out.shape[1]
-        y = row + i / lanes - n * views_out.shape[1]
         height = pictures.shape[1]
         width = pictures.shape[2]
         right = float(width - 1)
         bottom = float(height - 1)
-        for x in range(i % lanes, views_out.shape[2], lanes):
-            out = stored_pixel()
-            px = places[n, y, x, 0]
-            py = places[n, y, x, 1]
-            if px >= -0.5 and px <= right + 0.5 and py >= -0.5 and py <= bottom + 0.5:
-                px = wp.clamp(px, 0.0, right)
-                py = wp.clamp(py, 0.0, bottom)
-                column = int(px)
-                row = int(py)
-                across = _keys(px - float(column))
-                down = _keys(py - float(row))
-                total = pixel()
-                for j in range(wp.static(4)):
-                    along = pixel()
-                    for k in range(wp.static(4)):
-                        taken = pictures[
-                            n, wp.clamp(row + j - 1, 0, height - 1), wp.clamp(column + k - 1, 0, width - 1)
-                        ]
-                        for c in range(wp.static(channels)):
-                            along[c] = along[c] + across[k] * float(taken[c])
-                    total = total + down[j] * along
-                q = places[n, y, x, 2]
-                for c in range(wp.static(channels)):
-                    gain = wp.max(tones[n, 0, c] + tones[n, 2, c] * q, wp.static(_LEAST_GAIN))
-                    value = wp.clamp((total[c] - tones[n, 1, c]) / gain, 0.0, white)
-                    if wp.static(whole):
-                        out[c] = stored(wp.rint(value))
-                    else:
-                        out[c] = stored(value)
-            views_out[n, y, x] = out
+        out = stored_pixel()
+        px = places[n, y, x, 0]
+        py = places[n, y, x, 1]
+        if px >= -0.5 and px <= right + 0.5 and py >= -0.5 and py <= bottom + 0.5:
+            px = wp.clamp(px, 0.0, right)
+            py = wp.clamp(py, 0.0, bottom)
+            column = int(px)
+            row = int(py)
+            across = _keys(px - float(column))
+            down = _keys(py - float(row))
+            total = pixel()
+            for j in range(wp.static(4)):
+                along = pixel()
+                for k in range(wp.static(4)):
+                    taken = pictures[n, wp.clamp(row + j - 1, 0, height - 1), wp.clamp(column + k - 1, 0, width - 1)]
+                    for c in range(wp.static(channels)):
+                        along[c] = along[c] + across[k] * float(taken[c])
+                total = total + down[j] * along
+            q = places[n, y, x, 2]
+            for c in range(wp.static(channels)):
+                gain = wp.max(tones[n, 0, c] + tones[n, 2, c] * q, wp.static(_LEAST_GAIN))
+                value = wp.clamp((total[c] - tones[n, 1, c]) / gain, 0.0, white)
+                if wp.static(whole):
+                    out[c] = stored(wp.rint(value))
+                else:
+                    out[c] = stored(value)
+        views_out[n, y, x] = out
 
-    return resample_kernel
+    return resample
 
 
-def resample(pictures: Any, places: Any, tones: Any, *, white: float, views_out: Any) -> None:
-    kernel = _kernel(views_out.dtype._length_, views_out.dtype._wp_scalar_type_)
-    rows = views_out.shape[0] * views_out.shape[1]
-    launch_rows(kernel, [pictures, places, tones, white], views_out, rows=rows)
+def resample(pictures: Any, *arguments: Any, **named: Any) -> None:
+    _resample(pictures.dtype._length_, pictures.dtype._wp_scalar_type_)(pictures, *arguments, **named)

@@ -8,7 +8,7 @@ import warp as wp
 
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
-from .cpu_plane_sweep import keep_views, kept_type, loading_kernels
+from .cpu_plane_sweep import kept_type, loading_kernels
 from .gpu_plane_sweep import kept_type as gpu_kept_type, pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
@@ -64,7 +64,7 @@ class sector_costs:
             inputs = [flat(recorded), None if valid is None else flat(valid)]
             launch(pack_kernel(channels, stored), recorded.size, inputs, [flat(self._views)], device=self._device)
             return
-        keep_views(loading_kernels(channels, stored).views, recorded, 0, self._views)
+        launch_slices(loading_kernels(channels, stored).views, len(recorded), [recorded, 0], self._views)
 
     def __call__(self, first: Any, factor: Any, costs_out: Any, *, step: float, rows: Rows | None = None) -> None:
         kind = self._shape[-1], self._stored, costs_out.dtype._wp_scalar_type_

@@ -11,7 +11,7 @@ from lfgpu.contract import DataTerm
 from .gpu_data_term import GpuDataTerm, curvature, curvature_factor
 from .memory import pixel_type
 from .pixels import Field, Volume, pixelwise
-from .threads import in_slices, launch, launch_rows, load, once, slices
+from .threads import in_slices, launch, load, once, slices
 
 
 @wp.func
@@ -202,35 +202,20 @@ def as_offsets(offsets: Any) -> Any:
     return offsets.view(wp.vec2f)
 
 
-@wp.kernel
-def _seen_kernel(
-    disparity: wp.array2d(dtype=float),
-    offsets: wp.array(dtype=wp.vec2f),
-    known: wp.array2d(dtype=float),
-    valid: wp.array3d(dtype=float),
-    row: int,
-    lanes: int,
-    seen_out: wp.array3d(dtype=float),
+@pixelwise("lfgpu_seen")
+def seen_by_reference(
+    n: int, y: int, x: int, disparity: Field, offsets: Field, known: Field, valid: Volume, seen_out: Volume
 ):
-    i = wp.tid()
-    height = disparity.shape[0]
-    width = disparity.shape[1]
-    n = (row + i / lanes) / height
-    y = row + i / lanes - n * height
-    for x in range(i % lanes, width, lanes):
-        from_x = float(x) + disparity[y, x] * offsets[n][0]
-        from_y = float(y) + disparity[y, x] * offsets[n][1]
-        seen = from_x >= 0.0 and from_x <= float(width - 1) and from_y >= 0.0 and from_y <= float(height - 1)
-        if seen and known:
-            seen = known[int(wp.rint(from_y)), int(wp.rint(from_x))] != 0.0
-        if valid and valid[n, y, x] == 0.0:
-            seen = False
-        seen_out[n, y, x] = wp.where(seen, 1.0, 0.0)
-
-
-def seen_by_reference(disparity: Any, offsets: Any, known: Any, valid: Any, *, seen_out: Any) -> None:
-    inputs, rows = [disparity, as_offsets(offsets), known, valid], seen_out.shape[0] * seen_out.shape[1]
-    launch_rows(_seen_kernel, inputs, seen_out, rows=rows)
+    from_x = float(x) + disparity[y, x] * offsets[n, 0]
+    from_y = float(y) + disparity[y, x] * offsets[n, 1]
+    right = float(disparity.shape[1] - 1)
+    bottom = float(disparity.shape[0] - 1)
+    seen = from_x >= 0.0 and from_x <= right and from_y >= 0.0 and from_y <= bottom
+    if seen and known:
+        seen = known[int(wp.rint(from_y)), int(wp.rint(from_x))] != 0.0
+    if valid and valid[n, y, x] == 0.0:
+        seen = False
+    seen_out[n, y, x] = wp.where(seen, 1.0, 0.0)
 
 
 class _CpuDataTerm:

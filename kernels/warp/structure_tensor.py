@@ -10,7 +10,7 @@ from lfgpu.contract import LocalEstimate, StructureFilters
 
 from .memory import pixel_type
 from .pixels import Field, pixelwise
-from .threads import launch_rows, once
+from .threads import once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -28,40 +28,36 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             value[c] = float(stored_value[c])
         return value
 
-    @wp.kernel(module=module, enable_backward=False)
-    def along_kernel(
+    @pixelwise(f"{module}_along")
+    def along(
+        n: int,
+        y: int,
+        x: int,
         epis: wp.array3d(dtype=stored_pixel),
         offsets: wp.array(dtype=float),
-        along_value: wp.array2d(dtype=float),
-        along_slope: wp.array2d(dtype=float),
+        along_value: Field,
+        along_slope: Field,
         scale: float,
         shear: float,
-        row: int,
-        lanes: int,
         value_out: wp.array3d(dtype=pixel),
         slope_out: wp.array3d(dtype=pixel),
     ):
         """Smoothed value and derivative along the views, of EPIs sheared by linear interpolation."""
-        i = wp.tid()
-        y = row + i / lanes
-        lane = i % lanes
         last = epis.shape[2] - 1
-        for m in range(value_out.shape[0]):
-            for x in range(lane, epis.shape[2], lanes):
-                value = pixel()
-                slope = pixel()
-                for u in range(epis.shape[0]):
-                    shift = -shear * offsets[u]
-                    whole = wp.floor(shift)
-                    share = shift - whole
-                    left = x + int(whole)
-                    sample = value_of(epis, u, y, wp.clamp(left, 0, last))
-                    if share > 0.0:
-                        sample = sample * (1.0 - share) + value_of(epis, u, y, wp.clamp(left + 1, 0, last)) * share
-                    value = value + sample * (scale * along_value[m, u])
-                    slope = slope + sample * (scale * along_slope[m, u])
-                value_out[m, y, x] = value
-                slope_out[m, y, x] = slope
+        value = pixel()
+        slope = pixel()
+        for u in range(epis.shape[0]):
+            shift = -shear * offsets[u]
+            whole = wp.floor(shift)
+            share = shift - whole
+            left = x + int(whole)
+            sample = value_of(epis, u, y, wp.clamp(left, 0, last))
+            if share > 0.0:
+                sample = sample * (1.0 - share) + value_of(epis, u, y, wp.clamp(left + 1, 0, last)) * share
+            value = value + sample * (scale * along_value[n, u])
+            slope = slope + sample * (scale * along_slope[n, u])
+        value_out[n, y, x] = value
+        slope_out[n, y, x] = slope
 
     @pixelwise(f"{module}_across")
     def across(
@@ -88,7 +84,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
             tensor = tensor + wp.vec3f(wp.dot(e_x, e_x), wp.dot(e_x, e_u), wp.dot(e_u, e_u)) * along_outer[m]
         tensor_out[y, x] = tensor
 
-    return SimpleNamespace(along=along_kernel, across=across)
+    return SimpleNamespace(along=along, across=across)
 
 
 @pixelwise("lfgpu_slopes")
@@ -152,8 +148,7 @@ def structure_tensor(
 
     def evaluate(epis: Any, shear: float, disparity_out: Any, coherence_out: Any) -> None:
         kernels = _kernels(channels, epis.dtype._wp_scalar_type_)
-        along = [epis, offsets, filters.along_value, filters.along_slope, scale, shear]
-        launch_rows(kernels.along, along, value, slope)
+        kernels.along(epis, offsets, filters.along_value, filters.along_slope, scale, shear, value, slope)
         kernels.across(value, slope, filters.across_value, filters.across_slope, filters.along_outer, tensor)
         _find_slopes(tensor, filters.across_outer, shear, floor, disparity_out, coherence_out)
 

@@ -71,69 +71,71 @@ def line_of_views(
 
 
 @once
-def _normalization_kernels(channels: int, stored: Any, detail: Any, sigma: float) -> SimpleNamespace:
-    pixel, stored_pixel, detail_pixel = pixel_type(channels), pixel_type(channels, stored), pixel_type(channels, detail)
-    module = f"lfgpu_normalization_{channels}_{stored.__name__}_{detail.__name__}_{sigma!r}".replace(".", "_")
+def _scaling(channels: int, stored: Any, detail: Any) -> Any:
+    detail_pixel = pixel_type(channels, detail)
 
-    @wp.kernel(module=module, enable_backward=False)
-    def scale_kernel(
-        views: wp.array3d(dtype=stored_pixel), scale: float, lanes: int, detail_out: wp.array3d(dtype=detail_pixel)
+    @pixelwise(f"lfgpu_scaling_{channels}_{stored.__name__}_{detail.__name__}")
+    def scaling(
+        n: int,
+        y: int,
+        x: int,
+        views: wp.array3d(dtype=pixel_type(channels, stored)),
+        scale: float,
+        detail_out: wp.array3d(dtype=detail_pixel),
     ):
-        i = wp.tid()
-        lane = i % lanes
-        n = i / lanes / views.shape[1]
-        y = i / lanes - n * views.shape[1]
-        for x in range(lane, views.shape[2], lanes):
-            stored_value = views[n, y, x]
-            out = detail_pixel()
-            for c in range(wp.static(channels)):
-                out[c] = detail(scale * float(stored_value[c]))
-            detail_out[n, y, x] = out
+        stored_value = views[n, y, x]
+        out = detail_pixel()
+        for c in range(wp.static(channels)):
+            out[c] = detail(scale * float(stored_value[c]))
+        detail_out[n, y, x] = out
 
-    types = {"Stored": stored_pixel, "Pixel": pixel, "Detail": detail_pixel}
+    return scaling
+
+
+@once
+def _normalization_kernels(channels: int, stored: Any, detail: Any, sigma: float) -> SimpleNamespace:
+    """Return the kernels of the four passes; the energies are images of one channel."""
+    energy = pixel_type(1)
+    module = f"lfgpu_normalization_{channels}_{stored.__name__}_{detail.__name__}_{sigma!r}".replace(".", "_")
+    types = {"Stored": pixel_type(channels, stored), "Pixel": pixel_type(channels), "Energy": energy}
+    types["Detail"] = pixel_type(channels, detail)
     name = "wp::half" if detail is wp.float16 else "float"
     numbers = {"CHANNELS": channels, "AT_ONCE": _AT_ONCE, "LEAST": _LEAST_SHARE, "DETAIL": name}
 
-    def of_gaussian(name: str, sigma: float) -> Any:
+    def of_gaussian(name: str, sigma: float, module: str | None = module, **others: Any) -> Any:
         gaussian = ", ".join(f"{weight:.9e}f" for weight in _gaussian(sigma))
-        return kernel("views.h", name, module=module, **types, **numbers, GAUSSIAN=gaussian)
+        return kernel("views.h", name, module=module, **types | numbers | others, GAUSSIAN=gaussian)
 
     return SimpleNamespace(
-        scale=scale_kernel,
         rows=of_gaussian("add_rows", sigma),
         detail=of_gaussian("subtract_mean", sigma),
-        energy_rows=of_gaussian("add_energies", 2 * sigma),
+        energy_rows=of_gaussian("add_rows", 2 * sigma, None, Stored=energy, Pixel=energy, CHANNELS=1),
         contrast=of_gaussian("divide_by_contrast", 2 * sigma),
     )
 
 
 def _gaussian(sigma: float) -> NDArray[np.float64]:
     radius = int(_TRUNCATE * sigma + 0.5)
-    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / max(sigma, 1e-9)) ** 2)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
     return np.asarray(weights / weights.sum())
 
 
 def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: float, floor: float) -> Normalization:
+    if sigma == 0:
+        return lambda views, valid, detail_out: _scaling(
+            shape[3], views.dtype._wp_scalar_type_, detail_out.dtype._wp_scalar_type_
+        )(views, scale, detail_out)
     (n, height, width, channels), place = shape, wp.get_device(device)
     batch = 1 if place.is_cpu else _BATCH
-    size = (batch, height, width)
-    if sigma > 0:
-        pixel = pixel_type(channels)
-        room = [
-            (
-                *(wp.empty(size, dtype=pixel, device=place) for _ in range(2)),
-                *(wp.empty(size, dtype=float, device=place) for _ in range(3)),
-            )
-            for _ in slices(place, n)
-        ]
+    kinds = *(pixel_type(channels),) * 2, *(pixel_type(1),) * 2, float
+    room = [[wp.empty((batch, height, width), dtype=kind, device=place) for kind in kinds] for _ in slices(place, n)]
 
     def normalize(views: Any, valid: Any, detail_out: Any) -> None:
         kernels = _normalization_kernels(
             channels, views.dtype._wp_scalar_type_, detail_out.dtype._wp_scalar_type_, sigma
         )
         threads = lanes(views)
-        load(place, kernels.scale)
-
+        load(place, kernels.rows, kernels.energy_rows)
         across, down = -(-threads // _AT_ONCE), -(-height // _AT_ONCE)
 
         def launch_each(kernel: Any, rows: int, columns: int, inputs: list[Any], outputs: list[Any]) -> None:
@@ -141,26 +143,16 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
             launch(kernel, rows * columns, [*inputs, columns], outputs, device=place)
 
         def some_views(k: int, first: int, last: int) -> None:
-            if sigma == 0:
-                launch_each(
-                    kernels.scale,
-                    (last - first) * height,
-                    threads,
-                    [views[first:last], scale],
-                    [detail_out[first:last]],
-                )
-                return
-            sums, details, shares, energy, energy_sums = room[k]
+            sums, details, energy, energy_sums, shares = room[k]
             for start in range(first, last, batch):
                 end = min(start + batch, last)
                 some, mask = views[start:end], None if valid is None else valid[start:end]
-                launch_each(kernels.rows, (end - start) * height, across, [some, mask, scale], [sums, shares])
-                launch_each(
-                    kernels.detail, (end - start) * down, threads, [some, sums, shares, mask, scale], [details, energy]
-                )
-                launch_each(kernels.energy_rows, (end - start) * height, across, [energy, mask], [energy_sums, shares])
+                rows, blocks = (end - start) * height, (end - start) * down
+                launch_each(kernels.rows, rows, across, [some, mask, scale], [sums, shares])
+                launch_each(kernels.detail, blocks, threads, [some, sums, shares, mask, scale], [details, energy])
+                launch_each(kernels.energy_rows, rows, across, [energy, mask, 1.0], [energy_sums, shares])
                 inputs = [details, energy_sums, shares, mask, floor]
-                launch_each(kernels.contrast, (end - start) * down, threads, inputs, [detail_out[start:end]])
+                launch_each(kernels.contrast, blocks, threads, inputs, [detail_out[start:end]])
 
         in_slices(place, n, some_views)
 

@@ -33,7 +33,6 @@ from lfgpu.kernels.warp import (  # noqa: E402
     measuring,
     native_code,
     nlm,
-    nlm_regression,
     peak,
     range_search,
     sectors,
@@ -67,8 +66,8 @@ def gpu_kernels() -> Iterator[Any]:
     yield [cost_volume._minimum_kernel(name, 1) for name in ("find_least", "find_lowest")]
     yield [edges._kernel(3, 2, False), confidence._line_mean_kernel()]
     yield native_code.kernel("vector.h", "for_each", EACH="a * xs[i] + b * ys[i]")
-    yield [nlm._tile_kernel(1, 1), nlm._gpu_operator("(here - other)", 0.0, 2)]
-    yield [nlm_regression._gpu_kernel(name, 2) for name in ("divide_sums", "fit_planes")]
+    yield [nlm._tile_kernel(1, 1), native_code.kernel("nlm.cuh", "add_neighbors", TERM="other", KEEP=1.0, RADIUS=2)]
+    yield [native_code.kernel("nlm.cuh", name, RADIUS=2) for name in ("divide_sums", "fit_planes")]
     yield [semi_global._step_costs_kernel(3), semi_global._path_kernel(2), semi_global._turn_kernel()]
     yield z_buffer._gpu_kernels(2)
     yield [gpu_lbfgs._products_kernel(), gpu_lbfgs._recursion_kernel(), gpu_lbfgs._combine_kernel(5)]

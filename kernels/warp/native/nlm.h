@@ -4,19 +4,19 @@
 #include "exponential.h"
 #include "nlm_plane.h"
 
-// Weights of pairs of pixels at the places of a half window.
+// Weights of pairs of pixels at the places of a half window from `first` to before `last`.
 //
 // For one neighbour after the other, a thread goes down the image. It adds up the distances of a row over the patches'
 // columns once and keeps the last few rows of these sums.
 void weigh_neighbors(
-    Array3<float> features, Array1<vec2i> half_window, int radius, float least, int is_mean, Array1<float> room,
-    Array3<float> weights_out) {
+    Array3<float> features, Array1<vec2i> half_window, int radius, float least, int is_mean, int first, int last,
+    Array1<float> room, Array3<float> weights_out) {
     const int height = features.shape[1], width = features.shape[2], rows = 2 * radius + 1, wide = width + 2 * radius;
     const size_t plane = (size_t)height * width;
     float* const distances = room.data;                  // [wide]: a row, and 0 beside it
     float* const counts = distances + wide;              // [width]: columns that patches have there
     float* const sums = counts + width;                  // [rows, width]: row y in ring place y % rows
-    for (int k = 0; k < half_window.shape[0]; ++k) {
+    for (int k = first; k < last; ++k) {
         const int dy = half_window.data[k].c[0], dx = half_window.data[k].c[1];
         const int begin = dx < 0 ? -dx : 0, end = dx < 0 ? width : width - dx, high = height - dy;
         for (int x = begin; x < end; ++x) {
@@ -67,22 +67,6 @@ void weigh_neighbors(
     }
 }
 
-// Add TERM for one neighbour of each pixel of a row.
-//
-// `here` and `other` are the rows of the pixels and of their neighbours, `dx` columns farther; the weight at x is
-// weight[x + back], because of each pair the second pixel finds the weight at the first. It is native code because a
-// CPU runs it seven times as fast when it is told that the rows do not overlap.
-void add_neighbor(
-    Array1<float> weight, Array1<float> here, Array1<float> other, int dx, int back, Array1<float> sums_inout) {
-    const float* __restrict__ w = weight.data;
-    const float* __restrict__ h = here.data;
-    const float* __restrict__ o = other.data;
-    float* __restrict__ s = sums_inout.data;
-    const int first = dx < 0 ? -dx : 0;
-    const int last = dx < 0 ? here.shape[0] : here.shape[0] - dx;
-    for (int x = first; x < last; ++x) TERM;
-}
-
 // Call add(weights, first, last, other, dx, dy) for all neighbours of the pixels of a row from `begin` to `end`.
 //
 // The pixels from `first` to before `last` have the neighbour; that of pixel x lies at other + x.
@@ -96,6 +80,27 @@ inline void for_neighbors(const auto& weights, const auto& steps, int y, int beg
             // Of a pair the second pixel finds the weight at the first.
             add(weights.data + (size_t)k * size + (sign > 0 ? row : other), first, last, other, dx, dy);
         }
+}
+
+// Add up TERM over the neighbours of each pixel of a row.
+//
+// The loop over the window is the outer one: what a row adds up stays in cache, and weights are read in the order in
+// which they lie.
+void add_neighbors(
+    int tid, Array3<float> weights, Array2<float> values, Array2<float> diagonal, Array1<vec2i> half_window, int line,
+    int lanes, Array2<float> sums_out) {
+    const int width = weights.shape[2], row = (line + tid) * width;
+    const float* __restrict__ const v = values.data;
+    float* __restrict__ const sums = sums_out.data + row;
+    for (int x = 0; x < width; ++x)
+        sums[x] = (diagonal.data ? KEEP + diagonal.data[row + x] : KEEP) * v[row + x];
+    auto add = [&](const float* __restrict__ w, int first, int last, int neighbor, int, int) {
+        for (int x = first; x < last; ++x) {
+            const float here = v[row + x], other = v[neighbor + x];
+            sums[x] += w[x] * TERM;
+        }
+    };
+    for_neighbors(weights, half_window, line + tid, 0, width, add);
 }
 
 // A ratio of sums whose weights also depend on a guide; a row goes in chunks, whose sums lie on the stack.

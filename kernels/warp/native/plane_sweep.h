@@ -8,12 +8,12 @@
 #pragma once
 #include "lfgpu.h"
 
-// Keep a view channel by channel; its rows go on at both sides as at their border.
-void keep_view(int tid, Array3<Stored> views, int margin, Array4<Kept> kept_out) {
-    const int n = tid;
+// Keep the views from `first` to before `last` channel by channel; their rows go on at both sides as at their border.
+void keep_views(Array3<Stored> views, int margin, int first, int last, Array4<Kept> kept_out) {
     const int height = views.shape[1], width = views.shape[2], long_row = kept_out.shape[3];
-    for (int y = 0; y < height; ++y) {
-        const auto* const row = views.data + ((size_t)n * height + y) * width;
+    for (int line = first * height; line < last * height; ++line) {
+        const int n = line / height, y = line % height;
+        const auto* const row = views.data + (size_t)line * width;
         auto* const out = kept_out.data + ((size_t)n * CHANNELS * height + y) * long_row + margin;
         const size_t plane = (size_t)height * long_row;
         #pragma clang loop vectorize(assume_safety)

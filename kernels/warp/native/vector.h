@@ -31,15 +31,18 @@ void for_each(
     for (size_t i = first; i < last; ++i) result_out.data[i] = EACH;
 }
 
-// Inner products of rows of the stack of L-BFGS with the new step, the new difference and the projected gradient.
-void find_products(int tid, State state, Array3<float> stack, int row, Array2<double> sums_out) {
+// Inner products of the rows of the stack of L-BFGS from `first` to before `last` with the new step, the new difference
+// and the projected gradient.
+void find_products(State state, Array3<float> stack, int first, int last, Array2<double> sums_out) {
     if (state.accepted.data[0] != 1) return;
-    const int memory = stack.shape[0] / 2, slot = (state.newest.data[0] + 1) % memory, r = row + tid;
+    const int memory = stack.shape[0] / 2, slot = (state.newest.data[0] + 1) % memory;
     const size_t size = (size_t)stack.shape[1] * stack.shape[2];
-    const float* const a = stack.data + r * size;
-    sums_out.data[3 * r] = dot_of(a, stack.data + slot * size, size);
-    sums_out.data[3 * r + 1] = dot_of(a, stack.data + (memory + slot) * size, size);
-    sums_out.data[3 * r + 2] = dot_of(a, stack.data + 2 * memory * size, size);
+    for (int r = first; r < last; ++r) {
+        const float* const a = stack.data + r * size;
+        sums_out.data[3 * r] = dot_of(a, stack.data + slot * size, size);
+        sums_out.data[3 * r + 1] = dot_of(a, stack.data + (memory + slot) * size, size);
+        sums_out.data[3 * r + 2] = dot_of(a, stack.data + 2 * memory * size, size);
+    }
 }
 
 // A step of conjugate gradients, once pᵀ q is known.

@@ -64,7 +64,7 @@ void add_rows(
 // Gaussian sums down columns; what the mean leaves, and its mean square over the channels.
 void subtract_mean(
     int tid, Array3<Stored> views, Array3<Pixel> sums, Array3<float> shares, Array3<float> valid, float scale,
-    int lanes, Array3<Pixel> details_out, Array3<float> energies_out) {
+    int lanes, Array3<Pixel> details_out, Array3<Energy> energies_out) {
     const int lane = tid % lanes, down = (views.shape[1] + AT_ONCE - 1) / AT_ONCE;
     const int n = tid / lanes / down, y = (tid / lanes - n * down) * AT_ONCE;
     constexpr float w[] = {GAUSSIAN};
@@ -94,44 +94,14 @@ void subtract_mean(
                 details_out.data[q].c[c] = value;
                 energy += value * value;
             }
-            energies_out.data[q] = energy / CHANNELS;
-        }
-    }
-}
-
-// Gaussian sums of mean squares along rows.
-void add_energies(
-    int tid, Array3<float> energies, Array3<float> valid, int lanes, Array3<float> sums_out, Array3<float> shares_out) {
-    const int lane = tid % lanes, n = tid / lanes / energies.shape[1], y = tid / lanes - n * energies.shape[1];
-    constexpr float w[] = {GAUSSIAN};
-    constexpr int taps = sizeof(w) / sizeof(float), radius = taps / 2;
-    const int height = energies.shape[1], width = energies.shape[2];
-    const size_t row = ((size_t)n * height + y) * width;
-    const float* __restrict__ const in = energies.data + row;
-    const float* __restrict__ const mask = valid.data ? valid.data + row : nullptr;
-    for (int x = AT_ONCE * lane; x < width; x += AT_ONCE * lanes) {
-        const bool inner = x >= radius && x + AT_ONCE <= width - radius;
-        float total[AT_ONCE] = {}, share[AT_ONCE] = {};
-        #pragma unroll
-        for (int k = 0; k < taps + AT_ONCE - 1; ++k) {
-            const int i = inner ? x + k - radius : mirrored(x + k - radius, width);
-            if (mask && mask[i] == 0.f) continue;
-            for (int j = 0; j < AT_ONCE; ++j) {
-                if (k < j || k - j >= taps) continue;
-                total[j] += w[k - j] * in[i];
-                share[j] += w[k - j];
-            }
-        }
-        for (int j = 0; j < AT_ONCE && x + j < width; ++j) {
-            sums_out.data[row + x + j] = total[j];
-            if (mask) shares_out.data[row + x + j] = share[j];
+            energies_out.data[q].c[0] = energy / CHANNELS;
         }
     }
 }
 
 // Details in units of their contrast.
 void divide_by_contrast(
-    int tid, Array3<Pixel> details, Array3<float> sums, Array3<float> shares, Array3<float> valid, float floor,
+    int tid, Array3<Pixel> details, Array3<Energy> sums, Array3<float> shares, Array3<float> valid, float floor,
     int lanes, Array3<Detail> detail_out) {
     const int lane = tid % lanes, down = (details.shape[1] + AT_ONCE - 1) / AT_ONCE;
     const int n = tid / lanes / down, y = (tid / lanes - n * down) * AT_ONCE;
@@ -149,7 +119,7 @@ void divide_by_contrast(
             const float counts = valid.data ? shares.data[q] : 1.f;
             for (int j = 0; j < AT_ONCE; ++j) {
                 if (k < j || k - j >= taps) continue;
-                total[j] += w[k - j] * sums.data[q];
+                total[j] += w[k - j] * sums.data[q].c[0];
                 share[j] += w[k - j] * counts;
             }
         }
