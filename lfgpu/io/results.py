@@ -51,6 +51,9 @@ _AXES = 2  # of a map
 _MAP_KEY = "disparity"  # the array that is taken for the map
 _STAGE = "stage_"  # what the names of the stages' arrays begin with
 _REFERENCE = "reference_"  # what those of the reference view begin with among the maps of all views
+_TEXTS = ("name", "status", "backend", "device")
+_OTHERS = ("position", "disparity_range", "notes", "remarks", "converged", "versions", "timings")
+"""Fields of a result that stand in its JSON text as they are."""
 _LAYOUT = 2  # goes up when a file of the old layout can no longer be read as one of the new
 
 
@@ -160,43 +163,30 @@ def _about(result: DepthResult) -> dict[str, Any]:
     return {
         "layout": _LAYOUT,
         "convention": CONVENTION,
-        "name": result.name,
-        "position": list(result.position),
-        "disparity_range": list(result.disparity_range),
-        "status": result.status,
-        "notes": list(result.notes),
-        "remarks": list(result.remarks),
-        "converged": result.converged,
-        "backend": result.backend,
-        "device": result.device,
-        "versions": result.versions,
-        "timings": result.timings,
+        **{name: getattr(result, name) for name in (*_TEXTS, *_OTHERS)},
         "geometry": None if result.geometry is None else geometry_about(result.geometry),
         "config": as_dict(result.config),
     }
 
 
 def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> DepthResult:
-    u, v = (float(value) for value in about["position"])
-    low, high = (float(value) for value in about["disparity_range"])
+    u, v = map(float, about["position"])
+    low, high = map(float, about["disparity_range"])
     return DepthResult(
+        **{name: str(about[name]) for name in _TEXTS},
         disparity=arrays["disparity"],
         confidence=arrays["confidence"],
         stages={name.removeprefix(_STAGE): values for name, values in arrays.items() if name.startswith(_STAGE)},
         position=(u, v),
         disparity_range=(low, high),
         config=restored(about["config"], METHODS[about["config"]["method"]].presets),  # parameters come and go
-        status=str(about["status"]),
         converged=bool(about["converged"]),
-        trace=tuple(float(value) for value in arrays["trace"]),
-        timings={str(name): float(seconds) for name, seconds in about["timings"].items()},
-        backend=str(about["backend"]),
-        device=str(about["device"]),
         versions=dict(about["versions"]),
+        trace=tuple(map(float, arrays["trace"])),
+        timings={str(name): float(seconds) for name, seconds in about["timings"].items()},
         geometry=None if about["geometry"] is None else geometry_of(about["geometry"]),
-        name=str(about["name"]),
         uncertainty=arrays.get("uncertainty"),
-        notes=tuple(str(note) for note in about.get("notes", ())),
+        notes=tuple(map(str, about.get("notes", ()))),
         remarks=tuple(printable(str(sentence)) for sentence in about.get("remarks", [])),
     )
 
