@@ -10,7 +10,8 @@ metres; `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def read_whole(path: Path) -> DepthResult | ViewsResult | None:
 def _views_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> ViewsResult:
     own = {name.removeprefix(_REFERENCE): a for name, a in arrays.items() if name.startswith(_REFERENCE)}
     reference = _result_of(path, own)
-    try:
+    with _damage_named(path):
         result = ViewsResult(
             arrays["disparities"],
             arrays["confidences"],
@@ -81,29 +82,24 @@ def _views_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> ViewsResult:
             reference,
             {str(name): float(seconds) for name, seconds in json.loads(str(arrays["timings"])).items()},
         )
-    except DAMAGE as error:
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
-    _check_views(path, result)
+        _check_views(result)
     return result
 
 
 def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
-    try:
+    with _damage_named(path):
         about = json.loads(str(arrays[ABOUT_KEY]))
         known = about["layout"] == _LAYOUT and about["config"].get("method") in METHODS
         result = _result(arrays, about) if known else None
-    except DAMAGE as error:
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
-    if result is None:
-        raise LightFieldError(
-            f"{path} was written by a later version of lfgpu, or by a method that this one does not have; "
-            "the maps beside it, such as disparity.pfm, can still be read."
-        )
-    maps = {"disparity": result.disparity, "confidence": result.confidence, "uncertainty": result.uncertainty}
-    _check(
-        path, maps | result.stages, np.float32, (*result.disparity.shape, 0, 0)[:2]
-    )  # which no other than [y, x] has
-    return result
+        if result is not None:
+            maps = {"disparity": result.disparity, "confidence": result.confidence, "uncertainty": result.uncertainty}
+            shape = (*result.disparity.shape, 0, 0)[:2]  # which no other than [y, x] has
+            _check(maps | result.stages, np.float32, shape)
+            return result
+    raise LightFieldError(
+        f"{path} was written by a later version of lfgpu, or by a method that this one does not have; "
+        "the maps beside it, such as disparity.pfm, can still be read."
+    )
 
 
 def holds_views(path: Path) -> bool:
@@ -191,31 +187,31 @@ def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> Dep
     )
 
 
-def _check(
-    path: Path, arrays: Mapping[str, NDArray[Any] | None], dtype: type[np.generic], shape: tuple[int, ...]
-) -> None:
-    """Raise LightFieldError unless arrays, as far as they are there, have a type and a shape."""
+def _check(arrays: Mapping[str, NDArray[Any] | None], dtype: type[np.generic], shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless arrays, as far as they are there, have a type and a shape."""
     for name, values in arrays.items():
         if values is not None and (values.dtype != dtype or values.shape != shape):
-            raise LightFieldError(
-                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
-                f"not {np.dtype(dtype)} {shape}."
-            )
+            raise ValueError(f"{name} is {values.dtype} of shape {values.shape}, not {np.dtype(dtype)} {shape}")
 
 
-def _check_views(path: Path, result: ViewsResult) -> None:
+def _check_views(result: ViewsResult) -> None:
     count = result.disparities.shape[0] if result.disparities.ndim else 0
     maps = {"disparities": result.disparities, "confidences": result.confidences}
-    _check(path, maps, np.float32, (count, *result.reference.disparity.shape))
-    _check(path, {"positions": result.positions}, np.float64, (count, 2))
+    _check(maps, np.float32, (count, *result.reference.disparity.shape))
+    _check({"positions": result.positions}, np.float64, (count, 2))
     if not np.isfinite(result.positions).all():
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: positions are not finite.")
+        raise ValueError("positions are not finite")
     if not all(0 <= key < count for key in result.keys):
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: keys name views beyond the {count} that it has.")
+        raise ValueError(f"keys name views beyond the {count} that it has")
 
 
-def _reason(error: Exception) -> str:
-    return f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except DAMAGE as error:
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise LightFieldError(f"{path} is a damaged result of lfgpu: {reason}.") from error
 
 
 # --- maps alone ---
