@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -38,7 +37,7 @@ from lfgpu.io.contradictions import contradictions
 from lfgpu.io.damage import check_fetched
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
-from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, image_files, listed, sub_folders
+from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, image_files, listed, not_waited_for, sub_folders
 from lfgpu.io.grid import Needed, in_part
 from lfgpu.io.taken import check_unit, in_unit, told
 
@@ -431,13 +430,12 @@ def _named(name: str) -> Format:
 def check_exists(path: Path, what: str = "a folder of views or a light field file") -> None:
     """Raise LightFieldError if there is nothing at a path, or it may not be looked at."""
     try:
-        mode = path.stat().st_mode
+        path.stat()
     except FileNotFoundError:
         raise LightFieldError(f"{path} does not exist; give {what}.") from None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise LightFieldError(f"{path} cannot be opened: {getattr(error, 'strerror', None) or error}.") from error
-    if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):  # a pipe would be waited for, a device never ends
-        raise LightFieldError(f"{path} is neither a file nor a folder; give {what}.")
+    not_waited_for(path, what)
     check_fetched(path)
 
 
