@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from lfgpu.cameras import consensus
 from lfgpu.cameras.signs import Signs
 from lfgpu.contract import Float64Array
-from lfgpu.data import summary
 from lfgpu.data.lightfield import LightField
 
 # A single view must stand out from the trend of its neighbours (`consensus.outliers`), all of them in their rms.
@@ -76,16 +75,16 @@ class Cameras:
 
 def strangers(lf: LightField, cameras: Cameras) -> tuple[str, ...]:
     """Name the views that do not show what they should: those of other places, and those that fit nowhere."""
-    place, at, said = cameras.place, list(map(summary.view_at, lf.positions)), []
+    place, said = cameras.place, []
     unlike = np.flatnonzero(consensus.unlike(cameras.misfit, lf.offsets))
     elsewhere = [n for n in unlike if place[n] != n]
     nowhere = [n for n in unlike if place[n] == n]
     if elsewhere:
-        each = [f"the view at {at[n]} shows what belongs at {at[place[n]]}" for n in elsewhere]
+        each = [f"the view at {_where(lf, n)} shows what belongs at {_where(lf, place[n])}" for n in elsewhere]
         said.append(f"{_named(each)}: correct the names of the files.")
     if nowhere:
         said.append(
-            f"what is shown at {_named([at[n] for n in nowhere])} fits the other views at no camera's place, "
+            f"what is shown at {_named([_where(lf, n) for n in nowhere])} fits the other views at no camera's place, "
             "moved or not: replace pictures that are covered, turned, blurred, noisy, or of another time or scene; or "
             "take their files away and read the rest with --allow-missing (allow_missing=True in Python)."
         )
@@ -167,9 +166,13 @@ def _found(
     chosen = np.flatnonzero(consensus.outliers(values, offsets, errors[known], least=limits[1])) if single else ()
     if not len(chosen):
         return []
-    each = [f"the view at {summary.view_at(lf.positions[known[n]])} is {alone(rest[n])}" for n in chosen]
+    each = [f"the view at {_where(lf, known[n])} is {alone(rest[n])}" for n in chosen]
     named = _named(each, "; and so are {} more")
     return [f"{named}: {remedy.format('it' if len(chosen) == 1 else 'them')}"]
+
+
+def _where(lf: LightField, n: int | np.intp) -> str:
+    return f"row {lf.positions[n, 1]:g}, column {lf.positions[n, 0]:g}"
 
 
 def _named(each: list[str], more: str = "; and {} more") -> str:

@@ -21,7 +21,6 @@ from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.surface import LABELS, grey, patches, sweep
 from lfgpu.cameras.tones import match_tones
 from lfgpu.contract import Device, Float64Array
-from lfgpu.data import summary
 from lfgpu.data.light_field_checks import array_of_numbers
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.windows import eroded, smoothed
@@ -202,8 +201,8 @@ def checked_map(lf: LightField, result: Any) -> NDArray[np.float32]:
     here = lf.positions[lf.reference_index]
     if position is not None and np.abs(here - position).max() > 1e-6:
         raise LightFieldError(
-            f"the map belongs to the view at {summary.view_at(position)}, the reference of {lf.name} is at "
-            f"{summary.view_at(here)}; give the light field with that reference."
+            f"the map belongs to the view at row {position[1]:g}, column {position[0]:g}, the reference of {lf.name} "
+            f"is at row {here[1]:g}, column {here[0]:g}; give the light field with that reference."
         )
     if not np.isfinite(disparity).any():
         raise LightFieldError("the map is undefined everywhere; there is nothing to judge.")
