@@ -12,11 +12,11 @@ from itertools import islice
 from pathlib import Path
 
 from lfgpu.errors import LightFieldError
-from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, several, stanford
+from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, RESULT_FILE, stanford
 from lfgpu.io.atomic import LEFT_OVER
 from lfgpu.io.description import named_by
 from lfgpu.io.folders import IMAGE_SUFFIXES, entries, image_files, natural_order
-from lfgpu.io.formats import FORMATS, inside, kind
+from lfgpu.io.formats import ANY_IMAGES, FORMATS, inside, several_in
 from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.io.naming import families
 from lfgpu.io.numbered import frames_of, holds_cameras
@@ -85,7 +85,7 @@ def find_items(
     names = _names(paths)
     items = []
     for path in paths:
-        times = _times(path, pattern) if frame is None and format_name in (None, *several.ANY_IMAGES) else 1
+        times = _times(path, pattern) if frame is None and format_name in (None, *ANY_IMAGES) else 1
         if times == 1:
             items.append(Item(names[path], str(path), str(path.parent) if sequence else ""))
         else:
@@ -97,7 +97,7 @@ def find_items(
 def _times(path: Path, pattern: str | None) -> int:
     """Count the times that a folder of numbered images holds for each camera; 1 for anything else."""
     try:
-        if pattern is None and recognised(path) not in several.ANY_IMAGES:
+        if pattern is None and recognised(path) not in ANY_IMAGES:
             return 1
         return frames_of(path, pattern)
     except LightFieldError:  # whoever reads it says what is wrong
@@ -243,7 +243,7 @@ def _kind(path: Path) -> str | None:
 def recognised(path: Path) -> str | None:
     """Name the format of a path; None if it has none, or holds several. LightFieldError if it cannot be looked at."""
     found = next((entry for entry in FORMATS if entry.recognise(path) is not None), None)
-    if found is None or (found.looks_below and several.sentence(path, found.name, kind) is not None):
+    if found is None or several_in(path, found) is not None:
         return None
     return found.name
 

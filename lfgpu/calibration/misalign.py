@@ -153,9 +153,7 @@ def _seen(image: Float32Array, ideal: Camera, real: Camera) -> Float32Array:
 
     if real is ideal:
         return image
-    height, width = image.shape[:2]
-    y, x = np.mgrid[:height, :width].astype(np.float64)
-    rays = real.rays(np.stack([x, y], axis=-1)) @ np.asarray(real.rotation) @ np.asarray(ideal.rotation).T
+    rays = real.rays(pixels(*image.shape[:2])) @ np.asarray(real.rotation) @ np.asarray(ideal.rotation).T
     at = ideal.project(rays)
     planes = [
         ndimage.map_coordinates(image[..., c], [at[..., 1], at[..., 0]], order=5, mode="mirror", output=np.float32)

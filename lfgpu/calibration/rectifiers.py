@@ -49,9 +49,8 @@ def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
     lf = read(path, lazy=True)
     values = load_arrays(path / NUMBERS, ("homographies", *_OF_TONES, *_OF_RIGS))
     try:
-        count, channels = len(values["homographies"]), lf.channels
-        nothing = np.zeros((count, channels))
-        tones = Tones(values.get("gain", nothing + 1), values.get("offset", nothing), values.get("vignetting", nothing))
+        count = len(values["homographies"])
+        tones = Tones(**vars(_equal(count, lf.channels)) | {name: values[name] for name in _OF_TONES if name in values})
         rig = _rig_of(values, lf.size, path) if "matrices" in values else None
         if count != len(lf.views):
             raise ValueError(f"numbers of {count} cameras, {len(lf.views)} views")
@@ -67,22 +66,16 @@ def rectifier_of(lf: LightField, rig: Rig | None, found: Refinement | None) -> R
         raise LightFieldError(
             f"{lf.name}: the common frame shows nothing of {len(rig.cameras) - count} cameras; leave them out."
         )
-    nothing = np.zeros((count, lf.channels))
-    homographies, tones = np.tile(np.eye(3), (count, 1, 1)), Tones(nothing + 1, nothing, nothing)
     if found is not None and found.kept:
-        homographies, tones = found.homographies, found.tones
-    return _made(lf, rig, homographies, tones)
+        return _made(lf, rig, found.homographies, found.tones)
+    return _made(lf, rig, _still(count), _equal(count, lf.channels))
 
 
 def numbers(lf: LightField, rig: Rig | None, found: Refinement | None) -> dict[str, NDArray[Any]]:
     """Collect the numbers that lead from a rectified light field back to the pictures, by the name of their array."""
-    count = len(lf.views)
-    identity = np.tile(np.eye(3), (count, 1, 1))
-    told: dict[str, NDArray[Any]] = {
-        "homographies": found.homographies if found is not None and found.kept else identity
-    }
+    told: dict[str, NDArray[Any]] = {"homographies": _still(len(lf.views))}
     if found is not None and found.kept:
-        told |= {name: getattr(found.tones, name) for name in _OF_TONES}
+        told = {"homographies": found.homographies, **vars(found.tones)}
     if rig is not None:
         geometry = rig.geometry
         assert geometry.principal_point is not None
@@ -107,6 +100,14 @@ def numbers(lf: LightField, rig: Rig | None, found: Refinement | None) -> dict[s
 
 
 # --- steps ---
+
+
+def _still(count: int) -> Float64Array:
+    return np.tile(np.eye(3), (count, 1, 1))
+
+
+def _equal(count: int, channels: int) -> Tones:
+    return Tones(np.ones((count, channels)), np.zeros((count, channels)), np.zeros((count, channels)))
 
 
 def _made(lf: LightField, rig: Rig | None, homographies: Float64Array, tones: Tones) -> Rectifier:

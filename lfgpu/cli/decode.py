@@ -37,8 +37,7 @@ def decode(
     from lfgpu.cli.summary import show_outputs
     from lfgpu.io import check_writable
     from lfgpu.io.formats import check_exists
-    from lfgpu.io.lenslet.decode import decode as decode_capture
-    from lfgpu.io.lenslet.written import ABOUT_FILE, write_decoded
+    from lfgpu.io.lenslet.decode import ABOUT_FILE, decode as decode_capture, write_decoded
     from lfgpu.reports import facts
 
     check_writable(out)

@@ -7,7 +7,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.data import LightField
+from lfgpu.data import LightField, summary
 from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.data.windows import mean_of_channels
 from lfgpu.io.flips import ORDERS, places_in
@@ -55,7 +55,7 @@ def copied(light_field: LightField) -> str | None:
     """Return a sentence if some views are the same picture, which shows something; else None."""
     if not (found := _copies(light_field)):
         return None
-    named = [f"row {v:g}, column {u:g}" for u, v in light_field.positions[list(found[0])]]
+    named = [summary.view_at(place) for place in light_field.positions[list(found[0])]]
     more = f", and {len(found) - 1} more are copies" if len(found) > 1 else ""
     return f"The views at {named[0]} and at {named[1]} are the same picture{more}: probably a file was copied."
 
@@ -98,7 +98,7 @@ def upside_down(light_field: LightField) -> str | None:
     found = np.flatnonzero(turned)
     if not len(found):
         return None
-    named = "; ".join(f"row {v:g}, column {u:g}" for u, v in light_field.positions[found[:_NAMED]])
+    named = "; ".join(map(summary.view_at, light_field.positions[found[:_NAMED]]))
     more = f" and {len(found) - _NAMED} more" if len(found) > _NAMED else ""
     one = len(found) == 1
     return (
@@ -131,10 +131,9 @@ def other_scenes(light_field: LightField) -> str | None:
     for index in _around(light_field):
         beside_it = grey_of(light_field, index, factor)
         if alike(beside_it, centre) < _ONE_SCENE and _alike_moved(beside_it, centre) < _ONE_SCENE:
-            u, v = light_field.positions[index]
             return (
-                f"The picture at row {v:g}, column {u:g} does not look like the reference beside it: perhaps the views "
-                "are of several times or scenes, or are stored in another way."
+                f"The picture at {summary.view_at(light_field.positions[index])} does not look like the reference "
+                "beside it: perhaps the views are of several times or scenes, or are stored in another way."
             )
     return None
 
@@ -195,10 +194,9 @@ def unmoved(light_field: LightField) -> str | None:
         return None
     for n in sorted(lines):
         if far[n] >= 2 * nearest and motion(n) < _LESS * usual:
-            u, v = light_field.positions[n]
             return (
-                f"The picture at row {v:g}, column {u:g} shows the scene from the place of the reference: perhaps "
-                "colours, times or exposures are taken for cameras."
+                f"The picture at {summary.view_at(light_field.positions[n])} shows the scene from the place of the "
+                "reference: perhaps colours, times or exposures are taken for cameras."
             )
     return None
 

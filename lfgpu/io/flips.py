@@ -1,5 +1,6 @@
 """Cameras that are counted otherwise: from the other end, rows for columns, or along a line that turns."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -39,18 +40,19 @@ def reordered(light_field: LightField, order: str) -> LightField:
     shape = light_field.grid_shape
     if shape is None:
         raise LightFieldError("order means nothing for views that do not stand in a grid; leave it out.")
-    u, v = np.round(light_field.positions).astype(int).T
-    row, column = places_in(shape, order)[v * shape[1] + u].T
-    return _moved(light_field, np.stack([column, row], axis=1).astype(np.float64), shape)
+    places = places_in(shape, order)
+
+    def move(where: NDArray[np.float64]) -> NDArray[np.float64]:
+        u, v = np.round(where).astype(int).T
+        return places[v * shape[1] + u][..., ::-1].astype(np.float64)
+
+    return _moved(light_field, move, shape)
 
 
 def transposed(light_field: LightField) -> LightField:
     """Return the same views with rows and columns of cameras swapped."""
     shape = None if light_field.grid_shape is None else (light_field.grid_shape[1], light_field.grid_shape[0])
-    truth = light_field.truth
-    if truth is not None:
-        light_field = replace(light_field, truth=replace(truth, position=truth.position[::-1]))
-    return _moved(light_field, light_field.positions[:, ::-1], shape)
+    return _moved(light_field, lambda where: where[..., ::-1], shape)
 
 
 def flipped(light_field: LightField, flip: str) -> LightField:
@@ -59,32 +61,27 @@ def flipped(light_field: LightField, flip: str) -> LightField:
     The reference is the middle view again where it was the middle one before.
     """
     check_flip(flip)
-    if not flip:
-        return light_field
-    positions = light_field.positions.copy()
-    truth = light_field.truth
-    spot = None if truth is None else list(truth.position)
-    for axis in (0, 1):
-        if "uv"[axis] not in flip:
-            continue
-        if light_field.grid_shape is not None:
-            total = float(light_field.grid_shape[1 - axis] - 1)
-        else:
-            total = float(positions[:, axis].min() + positions[:, axis].max())
-        positions[:, axis] = total - positions[:, axis]
-        if spot is not None:
-            spot[axis] = total - spot[axis]
-    if truth is not None and spot is not None:
-        light_field = replace(light_field, truth=replace(truth, position=(spot[0], spot[1])))
-    return _moved(light_field, positions, light_field.grid_shape)
+    shape, positions = light_field.grid_shape, light_field.positions
+    total = positions.min(0) + positions.max(0) if shape is None else np.subtract(shape[::-1], 1)
+    mirrored = [axis in flip for axis in "uv"]
+    return _moved(light_field, lambda where: np.where(mirrored, total - where, where), shape) if flip else light_field
 
 
-def _moved(light_field: LightField, positions: NDArray[np.float64], shape: tuple[int, int] | None) -> LightField:
-    """Return the same views at other places; the reference is the middle view again if it was the middle one."""
+def _moved(
+    light_field: LightField, move: Callable[[NDArray[np.float64]], NDArray[np.float64]], shape: tuple[int, int] | None
+) -> LightField:
+    """Return the same views, and their truth, where `move` puts places [..., 2].
+
+    The reference is the middle view again if it was the middle one.
+    """
+    positions, truth = move(light_field.positions), light_field.truth
     reference: int | None = light_field.reference_index
     if light_field.grid_shape is not None and shape is not None:
         rows, columns = light_field.grid_shape
         if tuple(light_field.positions[light_field.reference_index]) == (columns // 2, rows // 2):
             at_middle = (positions == (shape[1] // 2, shape[0] // 2)).all(axis=1).nonzero()[0]
             reference = int(at_middle[0]) if len(at_middle) else None
-    return replace(light_field, positions=positions, grid_shape=shape, reference=reference)
+    if truth is not None:
+        u, v = move(np.array(truth.position)).tolist()
+        truth = replace(truth, position=(u, v))
+    return replace(light_field, positions=positions, grid_shape=shape, reference=reference, truth=truth)

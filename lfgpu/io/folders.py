@@ -40,14 +40,14 @@ def image_files(folder: Path) -> list[Path]:
     return [image for image in images if image.is_file()]
 
 
-def not_waited_for(path: Path) -> None:
+def not_waited_for(path: Path, what: str = "a file") -> None:
     """Raise LightFieldError for a pipe, a socket or a device: opening it would wait for somebody, or never end."""
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):  # what is missing or locked is said by who opens it
         return
     if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
-        raise LightFieldError(f"{path} is neither a file nor a folder; give a file.")
+        raise LightFieldError(f"{path} is neither a file nor a folder; give {what}.")
 
 
 def head(path: Path, count: int) -> bytes:

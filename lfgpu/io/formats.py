@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import stat
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
@@ -26,7 +25,6 @@ from lfgpu.io import (
     numbered,
     numpy_file,
     plenopticam,
-    several,
     sheets,
     stanford,
     tiff_stack,
@@ -39,7 +37,7 @@ from lfgpu.io.contradictions import contradictions
 from lfgpu.io.damage import check_fetched
 from lfgpu.io.disk import on_disk, wanted_on_disk
 from lfgpu.io.flips import ORDERS, check_flip, flipped, reordered, transposed
-from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, image_files, listed
+from lfgpu.io.folders import IMAGE_SUFFIXES, entries, head, image_files, listed, not_waited_for, sub_folders
 from lfgpu.io.grid import Needed, in_part
 from lfgpu.io.taken import check_unit, in_unit, told
 
@@ -63,6 +61,9 @@ class Format:
     """Describes what its files hold beside views; None where that is nothing."""
     looks_below: bool = False  # true if a folder is of this format where only one of its sub-folders has the views
 
+
+ANY_IMAGES = ("camera-row", "named-views", "row-folders")
+"""Formats that any folder of images may be taken for: thumbnails, masks, maps of each view."""
 
 _MISSING = "allow_missing"
 
@@ -153,14 +154,14 @@ FORMATS: tuple[Format, ...] = (
     Format(
         name="mosaic",
         description="an image of microlenses, a block of pixels each (ESLF)",
-        recognise=sheets.recognise_mosaic,
+        recognise=partial(sheets.recognise, word=sheets.ESLF),
         read=sheets.read_mosaic,
         takes=("grid", "order"),
     ),
     Format(
         name="tiles",
         description="an image of all views side by side",
-        recognise=sheets.recognise_tiles,
+        recognise=partial(sheets.recognise, word="tiles"),
         read=sheets.read_tiles,
         takes=("grid", "order"),
     ),
@@ -371,13 +372,36 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     for candidate in FORMATS:
         reason = candidate.recognise(path)
         if reason is not None:
-            if candidate.looks_below and (held := several.sentence(path, candidate.name, kind)) is not None:
+            if (held := several_in(path, candidate)) is not None:
                 raise LightFieldError(held)
             return candidate, reason
-    several.check_no_captures(path)
+    files = [entry for entry in entries(path) if entry.is_file()] if path.is_dir() else []
+    if captures := [file for file in files if lenslet.recognise(file) or lytro.recognise(file)]:
+        raise LightFieldError(_each_its_own(path, captures, "captures"))
     raise LightFieldError(
         f"{path} is not a light field of a known format: it is {_what(path)}. "
         f"Known are {', '.join(entry.name for entry in FORMATS)}."
+    )
+
+
+def several_in(folder: Path, chosen: Format) -> str | None:
+    """Describe a folder that holds several light fields and is taken for one of a format; else None."""
+    if not chosen.looks_below:
+        return None
+    if images := image_files(folder):
+        if chosen.name in ANY_IMAGES and all(lenslet.recognise(image) for image in {images[0], images[-1]}):
+            return _each_its_own(folder, images, "raw captures")
+        return None
+    kinds = {inside: its for inside in sub_folders(folder) if (its := kind(inside)) is not None}
+    if len(kinds) > 1 and not set(kinds.values()) <= set(ANY_IMAGES):
+        return _each_its_own(folder, list(kinds), "light fields")
+    return None
+
+
+def _each_its_own(folder: Path, them: list[Path], what: str) -> str:
+    return (
+        f"{folder} holds {len(them)} {what}, each a light field of its own ({listed(them)}): give one of them, or the "
+        "folder to lfgpu batch."
     )
 
 
@@ -406,13 +430,12 @@ def _named(name: str) -> Format:
 def check_exists(path: Path, what: str = "a folder of views or a light field file") -> None:
     """Raise LightFieldError if there is nothing at a path, or it may not be looked at."""
     try:
-        mode = path.stat().st_mode
+        path.stat()
     except FileNotFoundError:
         raise LightFieldError(f"{path} does not exist; give {what}.") from None
     except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
         raise LightFieldError(f"{path} cannot be opened: {getattr(error, 'strerror', None) or error}.") from error
-    if not stat.S_ISDIR(mode) and not stat.S_ISREG(mode):  # a pipe would be waited for, a device never ends
-        raise LightFieldError(f"{path} is neither a file nor a folder; give {what}.")
+    not_waited_for(path, what)
     check_fetched(path)
 
 

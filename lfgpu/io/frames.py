@@ -1,7 +1,7 @@
 """Rendered images as files: one as PNG or TIFF, many as GIF, MP4 or a folder of PNGs."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -83,27 +83,13 @@ def _write_gif(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
 
 
 def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
-    import imageio_ffmpeg
+    from imageio import v2 as imageio  # slow to import, and rarely needed
 
-    pictures: Iterator[NDArray[np.uint8]] = (_colour(f)[: len(f) // 2 * 2, : f.shape[1] // 2 * 2] for f in frames)
-    first = next(pictures)
-    height, width, _ = first.shape
-    writer = imageio_ffmpeg.write_frames(
-        str(path),
-        (width, height),
-        fps=fps,
-        codec="libx264",
-        quality=_QUALITY,
-        macro_block_size=2,
-        ffmpeg_log_level="fatal",
-    )
-    try:
-        writer.send(None)
-        writer.send(np.ascontiguousarray(first))
-        for picture in pictures:
-            writer.send(np.ascontiguousarray(picture))
-    finally:
-        writer.close()
+    coding: dict[str, Any] = {"codec": "libx264", "pixelformat": "yuv420p", "quality": _QUALITY, "macro_block_size": 2}
+    film: Any = imageio.get_writer(path, format="FFMPEG", fps=fps, ffmpeg_log_level="fatal", **coding)
+    with film:
+        for frame in frames:
+            film.append_data(_colour(frame)[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])
     if not (path.exists() and b"moov" in path.read_bytes()):  # its table of contents, which ffmpeg writes last
         raise OSError(None, "ffmpeg could not finish it; is the disk full?")
 

@@ -101,6 +101,16 @@ def read_grid(
     return replace(light_field, notes=(*light_field.notes, missing))
 
 
+def check_told(by: Path, light_field: LightField, shape: tuple[int, int]) -> None:
+    """Raise LightFieldError unless a light field has the rows and columns that a file or the name of a folder tells."""
+    if light_field.grid_shape != shape:
+        raise LightFieldError(
+            f"{by} says {shape[0]} x {shape[1]} views, found a grid of "
+            f"{' x '.join(map(str, light_field.grid_shape or ()))}; add the missing ones, or pass allow_missing=True "
+            "(--allow-missing on the command line)."
+        )
+
+
 def holes(places: Collection[Place], shape: tuple[int, int], *, folder: Path, allow_missing: bool) -> tuple[str, ...]:
     """Describe the empty places of a grid in notes; raise LightFieldError if they look like an accident.
 

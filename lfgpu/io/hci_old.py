@@ -2,7 +2,7 @@
 VMV 2013): one HDF5 file each, or folders exported from them."""
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +16,7 @@ from lfgpu.io.arrays import grid_field
 from lfgpu.io.damage import check_fetched
 from lfgpu.io.flips import flipped
 from lfgpu.io.folders import entries, head, sub_folders
+from lfgpu.io.grid import check_told
 from lfgpu.io.images import mask_beside
 from lfgpu.io.numbered import read_numbered
 from lfgpu.io.parallax import runs_as_truth
@@ -24,34 +25,6 @@ from lfgpu.io.texts import read_text
 ATTRIBUTES_FILE, DEPTH_FILE, MASK_FILE = "attributes.dat", "depth.bin", "mask.png"
 
 _WIDEST = 20  # a focal length below a 20th of the width, a field of view of 168 degrees, cannot be in pixels
-
-
-@dataclass(frozen=True)
-class _Cameras:
-    """d = dH f / Z - shift: pixels per view step for the depth Z of the file."""
-
-    baseline: float
-    focal_length: float
-    shift: float
-
-    def disparity(self, depth: NDArray[Any]) -> NDArray[np.float32]:
-        """Return the disparity of a depth, NaN where the depth is no positive number."""
-        known = np.isfinite(depth) & (depth > 0)
-        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a file may hold any bits
-            found = self.baseline * self.focal_length / np.where(known, depth.astype(np.float64), np.nan) - self.shift
-            return np.where(np.isfinite(found), found, np.nan).astype(np.float32)
-
-    def geometry(self, width: int) -> Geometry | None:
-        """Return the cameras in pixels and metres; None if these cannot be real cameras.
-
-        The rendered scenes have the focal length in widths of the sensor, and the baseline multiplied by the width.
-        """
-        per_width = self.focal_length < width / _WIDEST
-        scale = width if per_width else 1
-        if self.shift < 0:  # the plane of disparity 0 would lie beyond infinity
-            return None
-        focus = self.baseline * self.focal_length / self.shift if self.shift > 0 else math.inf
-        return Geometry(self.focal_length * scale, self.baseline / scale, focus)
 
 
 # --- one HDF5 file ---
@@ -87,8 +60,7 @@ def read_hci_hdf5(path: Path) -> LightField:
         depth = _middle(file, arrays.get("GT_DEPTH"), grid.shape[:4])
         mask = _middle(file, arrays.get("GT_DEPTH_MASK"), grid.shape[:4])
     light_field = flipped(grid_field(file, grid if grid.ndim == 5 else grid[..., None]), "u")
-    cameras = _cameras(file, numbers)
-    return _turned(_known(light_field, cameras, depth, None if mask is None else mask != 0))
+    return _turned(_known(light_field, file, numbers, depth, None if mask is None else mask != 0))
 
 
 def _only_hdf5(folder: Path) -> Path | None:
@@ -133,48 +105,51 @@ def read_hci_export(path: Path, *, allow_missing: bool = False) -> LightField:
     numbers = _attributes(path / ATTRIBUTES_FILE)
     views = next((folder for folder in sub_folders(path) if folder.name == "lf"), path)
     light_field = replace(read_numbered(views, allow_missing=allow_missing), name=path.resolve().name)
-    shape = tuple(int(number) if (number := numbers.get(name)) else None for name in ("vRes", "hRes"))
-    if None not in shape and shape != light_field.grid_shape and not allow_missing:
-        raise LightFieldError(
-            f"{path / ATTRIBUTES_FILE} says {shape[0]} x {shape[1]} views, found a grid of "
-            f"{' x '.join(map(str, light_field.grid_shape or ()))}; add the missing ones, or allow_missing=True "
-            "(--allow-missing on the command line)."
-        )
-    depth = None
-    if (path / DEPTH_FILE).is_file():
-        check_fetched(path / DEPTH_FILE)
-        height, width = light_field.size
-        if (path / DEPTH_FILE).stat().st_size != 4 * height * width:
+    rows, columns = (int(numbers.get(name) or 0) for name in ("vRes", "hRes"))
+    if rows and columns and not allow_missing:
+        check_told(path / ATTRIBUTES_FILE, light_field, (rows, columns))
+    depth, file = None, path / DEPTH_FILE
+    if file.is_file():
+        check_fetched(file)
+        (height, width), size = light_field.size, file.stat().st_size
+        if size != 4 * height * width:
             raise LightFieldError(
-                f"{path / DEPTH_FILE} has {(path / DEPTH_FILE).stat().st_size} bytes; the depth of {width} x {height} "
-                f"pixels is {4 * height * width}."
+                f"{file} has {size} bytes; the depth of {width} x {height} pixels is {4 * height * width}."
             )
-        depth = np.fromfile(path / DEPTH_FILE, "<f4").reshape(height, width)
+        depth = np.fromfile(file, "<f4").reshape(height, width)
     mask = mask_beside(path / MASK_FILE, light_field.size)
-    return _known(light_field, _cameras(path / ATTRIBUTES_FILE, numbers), depth, mask)
+    return _known(light_field, path / ATTRIBUTES_FILE, numbers, depth, mask)
 
 
 def _attributes(path: Path) -> dict[str, float | None]:
-    text = read_text(path, errors="replace")
     numbers: dict[str, float | None] = {}
-    for line in text.splitlines():
-        value, slashes, name = line.partition("//")
-        if not slashes:
-            continue
+    for line in read_text(path, errors="replace").splitlines():
+        value, slashes, name = (part.strip() for part in line.partition("//"))
         try:
-            numbers[name.strip()] = float(value)
+            numbers |= {name: float(value)} if slashes else {}
         except ValueError:
-            raise LightFieldError(f"{path}: {name.strip()!r} must be a number, not {value.strip()!r}.") from None
+            raise LightFieldError(f"{path}: {name!r} must be a number, not {value!r}.") from None
     return {name: number for name, number in numbers.items() if number is not None and math.isfinite(number)}
 
 
 # --- what both have ---
 
 
-def _cameras(path: Path, numbers: dict[str, float | None]) -> _Cameras | None:
+def _known(
+    light_field: LightField,
+    path: Path,
+    numbers: dict[str, float | None],
+    depth: NDArray[Any] | None,
+    mask: NDArray[np.bool_] | None,
+) -> LightField:
+    """Add the cameras and the ground truth: disparities are dH f / Z - shift for the depth Z of the file.
+
+    The rendered scenes have the focal length in widths of the sensor, and the baseline multiplied by the width.
+    """
     baseline, focal_length, shift = (numbers.get(name) for name in ("dH", "focalLength", "shift"))
     if baseline is None or focal_length is None or shift is None:
-        return None
+        note = "dH, focalLength or shift is not known: neither are metric depth and ground truth."
+        return replace(light_field, notes=(*light_field.notes, note))
     if not (0 < baseline < math.inf and 0 < focal_length < math.inf and math.isfinite(shift)):
         raise LightFieldError(
             f"{path}: dH and focalLength must be positive and shift finite, not {baseline}, {focal_length}, {shift}."
@@ -185,23 +160,21 @@ def _cameras(path: Path, numbers: dict[str, float | None]) -> _Cameras | None:
             f"{path}: the cameras stand {baseline} apart across and {vertical} down; describe them in a "
             "lightfield.toml, with positions in units of the first."
         )
-    return _Cameras(baseline, focal_length, shift)
-
-
-def _known(
-    light_field: LightField, cameras: _Cameras | None, depth: NDArray[Any] | None, mask: NDArray[np.bool_] | None
-) -> LightField:
-    if cameras is None:
-        note = "dH, focalLength or shift is not known: neither are metric depth and ground truth."
-        return replace(light_field, notes=(*light_field.notes, note))
-    truth = None
-    if depth is not None:
-        u, v = light_field.positions[light_field.reference_index]
-        rows, columns = light_field.grid_shape or (1, 1)
-        if (u, v) == (columns // 2, rows // 2):
-            truth = GroundTruth(cameras.disparity(depth), (float(u), float(v)), mask)
+    truth, geometry, width = None, None, light_field.size[1]
+    u, v = light_field.positions[light_field.reference_index]
+    rows, columns = light_field.grid_shape or (1, 1)
+    if depth is not None and (u, v) == (columns // 2, rows // 2):
+        z = np.where(np.isfinite(depth) & (depth > 0), depth.astype(np.float64), np.nan)
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):  # a file may hold any bits
+            found = baseline * focal_length / z - shift
+            disparity = np.where(np.isfinite(found), found, np.nan).astype(np.float32)
+        truth = GroundTruth(disparity, (float(u), float(v)), mask)
+    if shift >= 0:  # else the plane of disparity 0 would lie beyond infinity: these cannot be real cameras
+        scale = width if focal_length < width / _WIDEST else 1
+        focus = baseline * focal_length / shift if shift > 0 else math.inf
+        geometry = Geometry(focal_length * scale, baseline / scale, focus)
     notes = (*light_field.notes, "Lengths have no unit in the file: they are taken for metres.")
-    return replace(light_field, geometry=cameras.geometry(light_field.size[1]), truth=truth, notes=notes)
+    return replace(light_field, geometry=geometry, truth=truth, notes=notes)
 
 
 def _turned(light_field: LightField) -> LightField:

@@ -16,7 +16,7 @@ from lfgpu.io import pillow
 from lfgpu.io.damage import check_claim, check_fetched, read_as
 from lfgpu.io.exr import read_picture
 from lfgpu.io.png import decode_fast
-from lfgpu.io.tiff_pages import check_pages, further_pictures
+from lfgpu.io.tiff_pages import MAGICS, check_pages, further_pictures
 
 ALPHA_DROPPED = "alpha channel dropped"
 LINEAR = "linear colours brought to sRGB and cut off at white"
@@ -25,7 +25,6 @@ TURNED = "turned upright as its EXIF orientation says"
 INVERTED = "inverted, as it is stored with white as 0"
 FLOAT64_ROUNDED = "float64 values rounded to float32"
 
-_TIFF_MAGIC = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 _WIDTH_TAG, _HEIGHT_TAG, _BITS_TAG, _INTERPRETATION_TAG, _ORIENTATION_TAG, _PLANAR_TAG = 256, 257, 258, 262, 274, 284
 _WHITE_IS_ZERO = 0
 _UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
@@ -130,7 +129,7 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
             return (pixels if turn is None else turn(pixels)), remarks
     except UnidentifiedImageError:
         with path.open("rb") as file:
-            if file.read(4) in _TIFF_MAGIC:
+            if file.read(4) in MAGICS:
                 return _decode_tiff(path)
         raise
 

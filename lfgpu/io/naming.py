@@ -335,16 +335,14 @@ def matching(files: Iterable[Path], folder: Path, pattern: str) -> Naming:
         re.escape(piece).replace(r"\*", "[^/]*").replace(r"\?", "[^/]") for piece in places
     )
     expression = re.compile(text + r"(?:\.[^./]*)?", re.IGNORECASE)
-    names, values = [], []
-    for file in files:
-        if match := expression.fullmatch(file.relative_to(folder).as_posix()):
-            names.append(Name(file, tuple(places), match.groups(), tuple(map(_counted, match.groups()))))
-            values.append(names[-1].numbers)
+    names = [
+        Name(file, tuple(places), match.groups(), tuple(map(_counted, match.groups())))
+        for file in files
+        if (match := expression.fullmatch(file.relative_to(folder).as_posix()))
+    ]
     if not names:
         raise LightFieldError(f"{folder} has no picture whose name is of the pattern {pattern!r}.")
-    order = sorted(range(len(names)), key=lambda i: values[i])
-    columns = list(zip(*(values[i] for i in order), strict=True))
-    numbers = [
-        Number(_FIELDS[field], "the pattern says so", column) for field, column in zip(fields, columns, strict=True)
-    ]
-    return Naming(tuple(names[i] for i in order), tuple(numbers))
+    names.sort(key=lambda name: name.numbers)
+    columns = zip(*(name.numbers for name in names), strict=True)
+    counts = zip(fields, columns, strict=True)
+    return Naming(tuple(names), tuple(Number(_FIELDS[field], "the pattern says so", found) for field, found in counts))

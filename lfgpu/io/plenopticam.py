@@ -8,6 +8,7 @@ from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io.brightness import without_dark_parts
 from lfgpu.io.folders import sub_folders
+from lfgpu.io.grid import check_told
 from lfgpu.io.numbered import read_numbered
 
 _FOLDER = re.compile(r"viewpoints_([0-9]{1,3})(?:px|x[0-9]{1,3})?")
@@ -35,12 +36,8 @@ def read_plenopticam(path: Path, *, allow_missing: bool = False) -> LightField:
     light_field = read_numbered(folders[0], allow_missing=allow_missing)
     match = _FOLDER.fullmatch(folders[0].resolve().name) or _FOLDER.fullmatch(folders[0].name)
     side = int(match[1]) if match else 0
-    if side and light_field.grid_shape != (side, side) and not allow_missing:
-        raise LightFieldError(
-            f"{folders[0]} should have {side} x {side} views, found a grid of "
-            f"{' x '.join(map(str, light_field.grid_shape or ()))}; export it again, or pass allow_missing=True "
-            "(--allow-missing on the command line)."
-        )
+    if side and not allow_missing:
+        check_told(folders[0], light_field, (side, side))
     return without_dark_parts(path, replace(light_field, name=path.resolve().name))
 
 

@@ -10,7 +10,8 @@ metres; `positions`, float64 [n, 2], (u, v) of each view; `keys`, the indices of
 
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -51,6 +52,9 @@ _AXES = 2  # of a map
 _MAP_KEY = "disparity"  # the array that is taken for the map
 _STAGE = "stage_"  # what the names of the stages' arrays begin with
 _REFERENCE = "reference_"  # what those of the reference view begin with among the maps of all views
+_TEXTS = ("name", "status", "backend", "device")
+_OTHERS = ("position", "disparity_range", "notes", "remarks", "converged", "versions", "timings")
+"""Fields of a result that stand in its JSON text as they are."""
 _LAYOUT = 2  # goes up when a file of the old layout can no longer be read as one of the new
 
 
@@ -69,7 +73,7 @@ def read_whole(path: Path) -> DepthResult | ViewsResult | None:
 def _views_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> ViewsResult:
     own = {name.removeprefix(_REFERENCE): a for name, a in arrays.items() if name.startswith(_REFERENCE)}
     reference = _result_of(path, own)
-    try:
+    with _damage_named(path):
         result = ViewsResult(
             arrays["disparities"],
             arrays["confidences"],
@@ -78,29 +82,24 @@ def _views_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> ViewsResult:
             reference,
             {str(name): float(seconds) for name, seconds in json.loads(str(arrays["timings"])).items()},
         )
-    except DAMAGE as error:
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
-    _check_views(path, result)
+        _check_views(result)
     return result
 
 
 def _result_of(path: Path, arrays: Mapping[str, NDArray[Any]]) -> DepthResult:
-    try:
+    with _damage_named(path):
         about = json.loads(str(arrays[ABOUT_KEY]))
         known = about["layout"] == _LAYOUT and about["config"].get("method") in METHODS
         result = _result(arrays, about) if known else None
-    except DAMAGE as error:
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: {_reason(error)}.") from error
-    if result is None:
-        raise LightFieldError(
-            f"{path} was written by a later version of lfgpu, or by a method that this one does not have; "
-            "the maps beside it, such as disparity.pfm, can still be read."
-        )
-    maps = {"disparity": result.disparity, "confidence": result.confidence, "uncertainty": result.uncertainty}
-    _check(
-        path, maps | result.stages, np.float32, (*result.disparity.shape, 0, 0)[:2]
-    )  # which no other than [y, x] has
-    return result
+        if result is not None:
+            maps = {"disparity": result.disparity, "confidence": result.confidence, "uncertainty": result.uncertainty}
+            shape = (*result.disparity.shape, 0, 0)[:2]  # which no other than [y, x] has
+            _check(maps | result.stages, np.float32, shape)
+            return result
+    raise LightFieldError(
+        f"{path} was written by a later version of lfgpu, or by a method that this one does not have; "
+        "the maps beside it, such as disparity.pfm, can still be read."
+    )
 
 
 def holds_views(path: Path) -> bool:
@@ -160,72 +159,59 @@ def _about(result: DepthResult) -> dict[str, Any]:
     return {
         "layout": _LAYOUT,
         "convention": CONVENTION,
-        "name": result.name,
-        "position": list(result.position),
-        "disparity_range": list(result.disparity_range),
-        "status": result.status,
-        "notes": list(result.notes),
-        "remarks": list(result.remarks),
-        "converged": result.converged,
-        "backend": result.backend,
-        "device": result.device,
-        "versions": result.versions,
-        "timings": result.timings,
+        **{name: getattr(result, name) for name in (*_TEXTS, *_OTHERS)},
         "geometry": None if result.geometry is None else geometry_about(result.geometry),
         "config": as_dict(result.config),
     }
 
 
 def _result(arrays: Mapping[str, NDArray[Any]], about: Mapping[str, Any]) -> DepthResult:
-    u, v = (float(value) for value in about["position"])
-    low, high = (float(value) for value in about["disparity_range"])
+    u, v = map(float, about["position"])
+    low, high = map(float, about["disparity_range"])
     return DepthResult(
+        **{name: str(about[name]) for name in _TEXTS},
         disparity=arrays["disparity"],
         confidence=arrays["confidence"],
         stages={name.removeprefix(_STAGE): values for name, values in arrays.items() if name.startswith(_STAGE)},
         position=(u, v),
         disparity_range=(low, high),
         config=restored(about["config"], METHODS[about["config"]["method"]].presets),  # parameters come and go
-        status=str(about["status"]),
         converged=bool(about["converged"]),
-        trace=tuple(float(value) for value in arrays["trace"]),
-        timings={str(name): float(seconds) for name, seconds in about["timings"].items()},
-        backend=str(about["backend"]),
-        device=str(about["device"]),
         versions=dict(about["versions"]),
+        trace=tuple(map(float, arrays["trace"])),
+        timings={str(name): float(seconds) for name, seconds in about["timings"].items()},
         geometry=None if about["geometry"] is None else geometry_of(about["geometry"]),
-        name=str(about["name"]),
         uncertainty=arrays.get("uncertainty"),
-        notes=tuple(str(note) for note in about.get("notes", ())),
+        notes=tuple(map(str, about.get("notes", ()))),
         remarks=tuple(printable(str(sentence)) for sentence in about.get("remarks", [])),
     )
 
 
-def _check(
-    path: Path, arrays: Mapping[str, NDArray[Any] | None], dtype: type[np.generic], shape: tuple[int, ...]
-) -> None:
-    """Raise LightFieldError unless arrays, as far as they are there, have a type and a shape."""
+def _check(arrays: Mapping[str, NDArray[Any] | None], dtype: type[np.generic], shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless arrays, as far as they are there, have a type and a shape."""
     for name, values in arrays.items():
         if values is not None and (values.dtype != dtype or values.shape != shape):
-            raise LightFieldError(
-                f"{path} is a damaged result of lfgpu: {name} is {values.dtype} of shape {values.shape}, "
-                f"not {np.dtype(dtype)} {shape}."
-            )
+            raise ValueError(f"{name} is {values.dtype} of shape {values.shape}, not {np.dtype(dtype)} {shape}")
 
 
-def _check_views(path: Path, result: ViewsResult) -> None:
+def _check_views(result: ViewsResult) -> None:
     count = result.disparities.shape[0] if result.disparities.ndim else 0
     maps = {"disparities": result.disparities, "confidences": result.confidences}
-    _check(path, maps, np.float32, (count, *result.reference.disparity.shape))
-    _check(path, {"positions": result.positions}, np.float64, (count, 2))
+    _check(maps, np.float32, (count, *result.reference.disparity.shape))
+    _check({"positions": result.positions}, np.float64, (count, 2))
     if not np.isfinite(result.positions).all():
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: positions are not finite.")
+        raise ValueError("positions are not finite")
     if not all(0 <= key < count for key in result.keys):
-        raise LightFieldError(f"{path} is a damaged result of lfgpu: keys name views beyond the {count} that it has.")
+        raise ValueError(f"keys name views beyond the {count} that it has")
 
 
-def _reason(error: Exception) -> str:
-    return f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+@contextmanager
+def _damage_named(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except DAMAGE as error:
+        reason = f"it has no {error}" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise LightFieldError(f"{path} is a damaged result of lfgpu: {reason}.") from error
 
 
 # --- maps alone ---

@@ -92,11 +92,11 @@ def _period(profile: NDArray[np.float32]) -> int | None:
     return None if best < _EXPLAINED else next(p for p, share in explained.items() if share >= _NEARLY * best)
 
 
-def recognise_tiles(path: Path) -> str | None:
-    """Say why a path is taken for a picture of views side by side; None if it is not."""
-    if path.suffix.lower() not in IMAGE_SUFFIXES or "tiles" not in path.stem.lower() or not path.is_file():
+def recognise(path: Path, word: str) -> str | None:
+    """Say why a path is taken for a picture of all views, by a word in its name; None if it is not."""
+    if path.suffix.lower() not in IMAGE_SUFFIXES or word.lower() not in path.stem.lower() or not path.is_file():
         return None
-    return "it is an image with tiles in its name"
+    return f"it is an image with {word} in its name"
 
 
 def read_tiles(path: Path, *, grid: tuple[int, int] | None = None) -> LightField:
@@ -132,14 +132,8 @@ def _cut(image: NDArray[Any], rows: int, columns: int) -> NDArray[Any]:
     return np.ascontiguousarray(image.reshape(rows, height, columns, width, image.shape[2]).transpose(0, 2, 1, 3, 4))
 
 
+ESLF = "ESLF"
 _STANFORD = (14, 14)  # of the Stanford Lytro archive, whose files are named ..._eslf.png
-
-
-def recognise_mosaic(path: Path) -> str | None:
-    """Say why a path is taken for a mosaic of microlenses; None if it is not."""
-    if path.suffix.lower() not in IMAGE_SUFFIXES or "eslf" not in path.stem.lower() or not path.is_file():
-        return None
-    return "it is an image with ESLF in its name"
 
 
 def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightField:
@@ -161,7 +155,7 @@ def read_mosaic(path: Path, *, grid: tuple[int, int] | None = None) -> LightFiel
                 f"By its pixels, blocks of {rows or grid[0]} x {columns or grid[1]} repeat in the picture, not the "
                 f"{grid[0]} x {grid[1]} of the grid."
             )
-    elif recognise_mosaic(path) and _divides(_STANFORD, image):
+    elif recognise(path, ESLF) and _divides(_STANFORD, image):
         grid = _STANFORD
     else:
         grid = None if rows is None or columns is None else (rows, columns)

@@ -8,7 +8,12 @@ from pathlib import Path
 from lfgpu.errors import LightFieldError
 
 _MOST = 100_000  # pages; no light field has as many views
-_KINDS = {42: ("I", "H", 12), 43: ("Q", "Q", 20)}  # by version: how offsets and counts are stored, bytes of an entry
+_KINDS = {
+    **{b"II*\0": ("<I", "<H", 12), b"MM\0*": (">I", ">H", 12)},
+    **{b"II+\0": ("<Q", "<Q", 20), b"MM\0+": (">Q", ">Q", 20)},
+}
+"""By the first bytes: how offsets and counts are stored, and the bytes of an entry."""
+MAGICS = tuple(_KINDS)
 _WHOLE = {3: "H", 4: "I", 16: "Q"}  # types of whole numbers
 _KIND, _WIDTH, _HEIGHT = 254, 256, 257  # tags
 _NO_PICTURE = 1 | 4  # bits of the kind of a page: a smaller copy, a mask
@@ -18,16 +23,11 @@ def pages(path: Path) -> Iterator[int]:
     """Yield the offset of each page; LightFieldError if one is linked twice, or there are more than anyone needs."""
     with path.open("rb") as file:
         start = file.read(16)
-        order = {b"II": "<", b"MM": ">"}.get(start[:2])
-        if order is None or len(start) < 16:
+        if start[:4] not in _KINDS or len(start) < 16:
             return
-        version = struct.unpack(f"{order}H", start[2:4])[0]
-        if version not in _KINDS:
-            return
-        link_kind, count_kind, entry = _KINDS[version]
-        link, count = order + link_kind, order + count_kind
+        link, count, entry = _KINDS[start[:4]]
         seen: set[int] = set()
-        offset = struct.unpack(link, start[4:8] if version == 42 else start[8:])[0]
+        offset = struct.unpack_from(link, start, struct.calcsize(link))[0]
         while offset:
             if offset in seen:
                 raise LightFieldError(f"{path} is damaged: its pages are linked in a circle.")
@@ -63,13 +63,12 @@ def numbers(path: Path, at: int) -> dict[int, int]:
     """Read the tags of a page that are one whole number, up to where it is damaged."""
     found: dict[int, int] = {}
     with path.open("rb") as file, suppress(struct.error, OSError, OverflowError, ValueError):
-        start = file.read(4)
-        order = "<" if start[:2] == b"II" else ">"
-        link, count, size = _KINDS[struct.unpack(f"{order}H", start[2:])[0]]
+        link, count, size = _KINDS[file.read(4)]
+        order, head = link[0], f"{link[0]}HH{link[1]}"
         file.seek(at)
-        for _ in range(struct.unpack(order + count, file.read(struct.calcsize(order + count)))[0]):
+        for _ in range(struct.unpack(count, file.read(struct.calcsize(count)))[0]):
             entry = file.read(size)
-            tag, kind, values = struct.unpack_from(f"{order}HH{link}", entry)
+            tag, kind, values = struct.unpack_from(head, entry)
             if kind in _WHOLE and values == 1:
-                found[tag] = struct.unpack_from(order + _WHOLE[kind], entry, struct.calcsize(f"{order}HH{link}"))[0]
+                found[tag] = struct.unpack_from(order + _WHOLE[kind], entry, struct.calcsize(head))[0]
     return found

@@ -16,9 +16,9 @@ import lfgpu
 from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read, recognise
-from lfgpu.io.lenslet import read_lenslet, write_decoded
+from lfgpu.io.lenslet import read_lenslet
 from lfgpu.io.lenslet.bayer import PATTERNS, demosaic, green_diagonal, transposed
-from lfgpu.io.lenslet.decode import decode
+from lfgpu.io.lenslet.decode import decode, write_decoded
 from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
 from lfgpu.io.lenslet.spectrum import find_peaks

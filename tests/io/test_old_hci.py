@@ -104,7 +104,7 @@ def test_plenopticam_that_lost_a_row(tmp_path: Path, true: LightField) -> None:
     assert read(path / "viewpoints_5px").grid_shape == (5, 5)
     for file in path.glob("*/4_*.png"):
         file.unlink()
-    assert "should have 5 x 5 views, found a grid of 4 x 5" in refusal(lambda: read(path))
+    assert "says 5 x 5 views, found a grid of 4 x 5" in refusal(lambda: read(path))
     (path / "viewpoints_3px").mkdir()
     assert "several exports (viewpoints_3px, viewpoints_5px)" in refusal(lambda: read(path))
 

@@ -17,10 +17,10 @@ from lfgpu.calibration.formats.devices import (
     is_depthai,
     is_google,
     is_stereo,
+    read_llff,
     stereo_cameras,
 )
 from lfgpu.calibration.formats.entries import entries_of, read_yaml
-from lfgpu.calibration.formats.llff import read_llff
 from lfgpu.calibration.formats.nerfstudio import nerfstudio_cameras
 from lfgpu.calibration.formats.opencv import is_kalibr, kalibr_cameras, opencv_cameras
 from lfgpu.calibration.formats.toml import read_toml, write_cameras

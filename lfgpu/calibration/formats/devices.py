@@ -1,4 +1,4 @@
-"""Calibrations of devices and data sets: models.json of Google's camera rigs, depthai's of OAK cameras, stereo pairs.
+"""Calibrations of devices and data sets: Google's models.json, depthai's of OAK cameras, stereo pairs, LLFF's poses.
 
 Google (DeepView, Spaces, immersive video): a camera is focal_length, pixel_aspect_ratio, principal_point, orientation
 (rotation vector, world to camera), position, and in some files radial_distortion and projection_type. The first pixel
@@ -8,17 +8,23 @@ depthai: cameraData is a list of (socket, camera); a camera's extrinsics lead to
 centimetres.
 
 OpenCV's stereo calibration: M1, D1, M2, D2 (or cameraMatrix1, ...) and R, T from the first to the second camera.
+
+LLFF: poses_bounds.npy has a row for each picture, ordered by their names. A row is 3 x 5 numbers and the nearest and
+farthest depth. Columns are the camera's axes down, right and backwards in the world, its centre, and (height, width,
+focal length).
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from lfgpu.calibration.cameras import Camera, turned
-from lfgpu.calibration.formats.entries import camera_of, numbers, whole
+from lfgpu.calibration.formats.entries import camera_of, entries_of, numbers, whole
 from lfgpu.contract import Float64Array
 from lfgpu.errors import LightFieldError
+from lfgpu.io.numpy_file import load_arrays
 
 _CENTIMETRE = 0.01
 _PAIRS = (("M", "D"), ("K", "D"), ("cameraMatrix", "distCoeffs"), ("camera_matrix_", "dist_coeffs_"))
@@ -124,3 +130,26 @@ def stereo_cameras(table: Mapping[str, Any]) -> list[Camera]:
         )
         for n, (turn, shift) in enumerate(poses, 1)
     ]
+
+
+def read_llff(path: Path) -> tuple[list[Camera], tuple[float, float]]:
+    """Read the cameras of a poses_bounds.npy, and the nearest and farthest depth of the scene."""
+    rows = load_arrays(path, ("poses",))["poses"]
+    if rows.ndim != 2 or rows.shape[1] != 17 or not len(rows):
+        raise LightFieldError(f"{path} must hold 17 numbers for each picture, found shape {rows.shape}.")
+    cameras = []
+    with entries_of(path):
+        for index, row in enumerate(rows := numbers(rows)):
+            down, right, back, centre, (height, width, focal) = row[:15].reshape(3, 5).T
+            rotation = np.stack([right, down, -back])
+            cameras.append(
+                Camera(
+                    size=(round(height), round(width)),
+                    focal_length=(float(focal), float(focal)),
+                    principal_point=((width - 1) / 2, (height - 1) / 2),
+                    rotation=rotation,
+                    translation=-rotation @ centre,
+                    name=f"picture {index}",
+                )
+            )
+    return cameras, (float(rows[:, 15].min()), float(rows[:, 16].max()))

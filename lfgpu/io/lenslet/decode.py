@@ -1,7 +1,9 @@
 """The way from a raw capture to a light field, on one page."""
 
+import json
 import math
 import os
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,21 +14,26 @@ from numpy.typing import NDArray
 
 from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
+from lfgpu.io.atomic import atomic_folder, check_no_others
 from lfgpu.io.lenslet import bayer as mosaics
 from lfgpu.io.lenslet.capture import Capture, read_capture
 from lfgpu.io.lenslet.lattice import Microlenses
 from lfgpu.io.lenslet.microlenses import find_microlenses, is_upright
 from lfgpu.io.lenslet.resampling import sample_views, view_grid
 from lfgpu.io.lenslet.vignetting import Float32Array, MeanMicrolens, field_gains, from_white_image
+from lfgpu.io.png import write_png
 from lfgpu.io.reporting import say
 
 STEP = 1.0
 """Pixels of the sensor between neighbouring views."""
+ABOUT_FILE = "lenslet.json"
+"""The findings and steps of a decoded capture, beside its views."""
 
 _DARKEST = 0.15  # share of the light below which values are not raised any further
 _VALID = 0.25  # share of the light below which a pixel of a view is of no use
 _WHITE_PERCENTILE = 99.9
 _MOST_VIEWS = 31
+_VIEW = re.compile(r"view_[0-9]+_[0-9]+\.png")
 _LEAST_LEVEL = 1e-4  # of the white level: what is darker everywhere is black
 
 
@@ -119,6 +126,18 @@ def decode(
         "notes": list(light_field.notes),
     }
     return Decoded(light_field, about)
+
+
+def write_decoded(decoded: Decoded, out: str | os.PathLike[str]) -> list[str]:
+    """Write view_row_col.png (16 bits) and lenslet.json, all or nothing, not beside other views; returns names."""
+    lf = decoded.light_field
+    names = [f"view_{round(v):02d}_{round(u):02d}.png" for u, v in lf.positions]
+    check_no_others(out, names, _VIEW)
+    with atomic_folder(out) as folder:
+        for name, view in zip(names, lf.views, strict=True):
+            write_png(folder / name, view)
+        (folder / ABOUT_FILE).write_text(json.dumps(decoded.about, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    return [*names, ABOUT_FILE]
 
 
 class _Sensor:

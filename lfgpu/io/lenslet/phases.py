@@ -32,17 +32,18 @@ def fitted(picture: NDArray[np.float32], frequencies: NDArray[np.float64], pitch
     """
     flat = _flattened(picture, 1 / math.hypot(*frequencies[0]))
     side = round(NEIGHBOURHOOD * pitch)
-    regular = _Fit(flat, frequencies, side).regular()
-    if regular.agreeing < _LEAST_AGREEING or regular.residual > _AGREEING / 10:
-        slanted = _Fit(flat, frequencies, side).slanted()
-        if slanted is not None and slanted.residual < _SLANTED * regular.residual:
-            regular = slanted
-    if regular.agreeing < _LEAST_AGREEING:
+    fit = _Fit(flat, frequencies, side)
+    found = fit.regular()
+    if found.agreeing < _LEAST_AGREEING or found.residual > _AGREEING / 10:
+        slanted = fit.slanted()
+        if slanted is not None and slanted.residual < _SLANTED * found.residual:
+            found = slanted
+    if found.agreeing < _LEAST_AGREEING:
         raise LightFieldError(
             f"{name} shows a lattice of bright spots, but not one and the same all over the picture: "
             "microlenses are regular to a fraction of a pixel."
         )
-    return regular.lenses
+    return found.lenses
 
 
 class _Found:
@@ -67,29 +68,19 @@ class _Fit:
         self._x, self._y, self._phases, self._weights = _phases(flat, waves, side)
         self._shape = (len(np.unique(self._y)), len(np.unique(self._x)))
 
-    def regular(self) -> _Found:
-        """Return the regular lattice that fits best."""
-        fit = self
-        for _ in range(2):  # with the second round's frequencies no phase turns within a neighbourhood
-            design = np.stack([fit._x, fit._y, np.ones_like(fit._x)], axis=1)
-            planes = np.array(
-                [
-                    _plane(design, phase, weight, fit._shape)
-                    for phase, weight in zip(fit._phases, fit._weights, strict=True)
-                ]
-            )
-            found = _wrapped(fit._phases - planes @ design.T), fit._weights
-            if min(np.average(np.abs(r) < _AGREEING, weights=w) for r, w in zip(*found, strict=True)) < _LEAST_AGREEING:
-                break
-            waves = fit._waves + planes[:, :2]
-            # The phase of wave g at the point p is g.(p - origin) in turns, which is whole at the centres.
-            along, down = np.linalg.inv(waves).T
-            lenses = Microlenses(-(planes[0, 2] * along + planes[1, 2] * down), along, down)
-            fit = _Fit(self._flat, waves, self._side)
-        else:
-            return _Found(lenses, *found)
-        along, down = np.linalg.inv(self._waves).T
-        return _Found(Microlenses(np.zeros(2), along, down), *found)
+    def regular(self, rounds: int = 2) -> _Found:
+        """Return the regular lattice that fits best; from the second round on no phase turns within a neighbourhood."""
+        design = np.stack([self._x, self._y, np.ones_like(self._x)], axis=1)
+        measured = zip(self._phases, self._weights, strict=True)
+        planes = np.array([_plane(design, phase, weight, self._shape) for phase, weight in measured])
+        waves = self._waves + planes[:, :2]
+        # The phase of wave g at the point p is g.(p - origin) in turns, which is whole at the centres.
+        along, down = np.linalg.inv(waves).T
+        lenses = Microlenses(-(planes[0, 2] * along + planes[1, 2] * down), along, down)
+        found = _Found(lenses, _wrapped(self._phases - planes @ design.T), self._weights)
+        if rounds == 1 or found.agreeing < _LEAST_AGREEING:
+            return found
+        return _Fit(self._flat, waves, self._side).regular(rounds - 1)
 
     def slanted(self) -> _Found | None:
         """Return the lattice that becomes denser towards one side which fits best; None if there is none.

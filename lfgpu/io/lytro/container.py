@@ -56,9 +56,8 @@ class Container:
 
     def json(self, name: str, what: str) -> dict[str, Any]:
         """Read the data of a section as a JSON object; LightFieldError, which calls it `what`, if they are none."""
-        if self.length(name) > _MOST_JSON:
-            raise LightFieldError(f"{self.path} is damaged: {what} is not JSON (it is too long).")
-        return _json(self.path, self.data(name), what)
+        with read_as(self.path), self.path.open("rb") as file:
+            return _json(self.path, file, self.sections[name], what)
 
 
 def is_container(path: Path) -> bool:
@@ -110,9 +109,7 @@ def _table(path: Path, file: BinaryIO, sections: list[Section]) -> dict[str, Any
         raise LightFieldError(
             f"{path} is a damaged Lytro container: it has {len(tables)} tables of contents, where there should be one."
         )
-    if tables[0].length > _MOST_JSON:
-        raise LightFieldError(f"{path} is damaged: its table of contents is not JSON (it is too long).")
-    return _json(path, _read(file, tables[0]), "its table of contents")
+    return _json(path, file, tables[0], "its table of contents")
 
 
 def _read(file: BinaryIO, section: Section) -> bytes:
@@ -120,9 +117,11 @@ def _read(file: BinaryIO, section: Section) -> bytes:
     return file.read(section.length)
 
 
-def _json(path: Path, data: bytes, what: str) -> dict[str, Any]:
+def _json(path: Path, file: BinaryIO, section: Section, what: str) -> dict[str, Any]:
+    if section.length > _MOST_JSON:
+        raise LightFieldError(f"{path} is damaged: {what} is not JSON (it is too long).")
     try:
-        value = json.loads(data.rstrip(b"\0"))
+        value = json.loads(_read(file, section).rstrip(b"\0"))
     except (ValueError, RecursionError) as error:
         raise LightFieldError(f"{path} is damaged: {what} is not JSON ({' '.join(str(error).split())}).") from error
     if not isinstance(value, dict):

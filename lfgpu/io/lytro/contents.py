@@ -142,7 +142,7 @@ def across(size: tuple[int, int]) -> str:
 def read_contents(path: Path) -> Contents:
     """Read the contents of a container; LightFieldError if it is damaged, or names sections that are missing."""
     container = open_container(path)
-    frame = Members(path, _frame(container.table))
+    frame = Members(path, _frame(Members(path, container.table)))
     metadata = _metadata(container, frame)
     section = frame.values.get("imageRef")
     raw = missing = None
@@ -165,12 +165,10 @@ def read_contents(path: Path) -> Contents:
     return Contents(container, raw, views, tuple(others), camera, missing)
 
 
-def _frame(table: dict[str, Any]) -> dict[str, Any]:
+def _frame(table: Members) -> dict[str, Any]:
     """Return the object of the first frame; empty if there is none."""
     for keys in _FRAMES:
-        frames: Any = table
-        for key in keys:
-            frames = frames.get(key) if isinstance(frames, dict) else None
+        frames = table.find(*keys)
         if isinstance(frames, list) and frames and isinstance(frames[0], dict):
             frame = frames[0].get("frame")
             if isinstance(frame, dict):

@@ -11,10 +11,9 @@ from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.folders import natural_order, sub_folders
-from lfgpu.io.formats import kind
+from lfgpu.io.formats import ANY_IMAGES, kind
 from lfgpu.io.naming import names_times
 from lfgpu.io.numbered import frames_of, holds_cameras
-from lfgpu.io.several import ANY_IMAGES
 from lfgpu.pipelines.sources.base import Frames, Options
 from lfgpu.pipelines.sources.recording import VIEWS_FILE
 
