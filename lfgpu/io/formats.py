@@ -422,6 +422,11 @@ _NAMED_SO = frozenset({".h5", ".hdf5", ".mat", ".npy", ".npz", ".mp4", ".mov", "
 
 
 def _contents(path: Path, found: list[Path]) -> str:
+    if sum(entry.suffix.lower() == ".npy" for entry in found) > 1 and not image_files(path):
+        return (
+            f"{said}: if each is one view, stack them as one file, such as numpy.save('views.npy', numpy.stack(views)) "
+            "of [n, y, x, c]; if each is a light field, give one"
+        )
     if not found:
         return "an empty folder"
     said = f"a folder with {listed(found)}"
