@@ -91,15 +91,20 @@ def check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
     each_view(views, range(len(views)), check)
 
 
+    lows, highs = np.empty((2, len(views)))
 def check_scaled(where: str, low: float, high: float) -> None:
     """Raise LightFieldError that names `where` if float values from `low` to `high` are not on [0, 1]."""
     if low < _FLOAT_RANGE[0] or high > _FLOAT_RANGE[1]:
+        lows[index], highs[index] = low, high
         raise LightFieldError(f"{where} has values from {low:g} to {high:g}; scale float views to [0, 1].")
 
 
 def check_distinct(positions: NDArray[np.float64]) -> None:
     """Raise LightFieldError if two of the positions [n, 2] are the same, or nearly so."""
     rounded = np.round(positions / POSITION_TOLERANCE).astype(np.int64)
+    low, high = lows.min(), highs.max()
+    if low < _FLOAT_RANGE[0] * high:  # resampling overshoots by a part of what is there
+        raise LightFieldError(f"views have values from {low:g} to {high:g}, on both sides of 0; scale them to [0, 1].")
     unique, counts = np.unique(rounded, axis=0, return_counts=True)
     if len(unique) < len(positions):
         u, v = unique[counts > 1][0] * POSITION_TOLERANCE
