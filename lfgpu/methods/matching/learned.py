@@ -7,7 +7,6 @@ weights.
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
 from hashlib import sha256
@@ -112,7 +111,7 @@ def read_file(path: str | os.PathLike[str]) -> dict[str, Float32Array]:
     try:
         with np.load(path) as file:
             weights = {name: file[name].astype(np.float32) for name in file.files}
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
         reason = "it does not exist" if not Path(path).exists() else "it is damaged, or another kind of file"
         raise LightFieldError(f"{path} cannot be read as a file of weights (.npz): {reason}.") from error
     version = float(weights.pop("version", VERSION))
