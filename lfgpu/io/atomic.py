@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 
 try:
@@ -91,13 +92,6 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
         raise LightFieldError(f"{target} cannot be written: {place} is a file, not a folder; choose another place.")
     if not os.access(place, os.W_OK | os.X_OK):
         raise LightFieldError(f"{target} cannot be written: no permission to write in {place}; choose another place.")
-
-
-def named(path: str | os.PathLike[str]) -> Path:
-    """Return a path; LightFieldError if it is empty, which would mean the current folder."""
-    if not os.fspath(path):
-        raise LightFieldError("the path is empty; name a file or a folder.")
-    return Path(path)
 
 
 def _resolved(path: str | os.PathLike[str]) -> Path:

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lfgpu.contract import Float32Array
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
-from lfgpu.io.atomic import atomic_folder, atomic_write, named
+from lfgpu.io.atomic import atomic_folder, atomic_write
 from lfgpu.io.damage import require
 from lfgpu.io.png import quantised, write_png
 
@@ -21,7 +22,7 @@ _QUALITY = 8  # of 10
 
 def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any = np.uint8) -> None:
     """Write an image, float32 [y, x, c] in [0, 1], as .png (`dtype` uint8, uint16) or .tif; whole or not at all."""
-    path = Path(path)
+    path = named(path)
     check_image_path(path)
     with atomic_write(path) as temporary:
         if path.suffix.lower() == ".png":
@@ -35,7 +36,7 @@ def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any
 
 def check_image_path(path: str | os.PathLike[str]) -> None:
     """Raise LightFieldError if `write_image` could not write such a file."""
-    path = Path(path)
+    path = named(path)
     if path.suffix.lower() not in (".png", ".tif", ".tiff"):
         raise LightFieldError(f"{path} cannot be written: an image is stored as .png or .tif; choose one of these.")
     if path.suffix.lower() != ".png":
@@ -66,7 +67,7 @@ def write_frames(
 
 def check_frames_path(path: str | os.PathLike[str]) -> None:
     """Raise LightFieldError if `write_frames` could not write such a file or folder."""
-    path = Path(path)
+    path = named(path)
     if path.suffix and path.suffix.lower() not in _FILMS:
         raise LightFieldError(
             f"{path} cannot be written: a film is stored as .gif or .mp4, or without a suffix as a folder of PNGs."
