@@ -265,6 +265,8 @@ def readable_format(path: Path) -> MapFormat:
     check_fetched(path)
     not_waited_for(path)
     chosen = _named_as(path)
+    if not path.suffix and not path.exists():
+        raise LightFieldError(f"{path} does not exist; give a map, or a folder that lfgpu depth wrote.")
     if chosen is None or chosen.read is None:
         known = _suffixes(entry for entry in MAP_FORMATS if entry.read is not None)
         raise LightFieldError(f"{path} is not a kind of map that can be read; known are {known}.")

@@ -92,6 +92,7 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
         ("folder.npy", None, "cannot be read: Is a directory"),
         ("missing.pfm", None, "cannot be read: No such file"),
         ("missing.tif", None, "No such file"),
+        ("missing", None, "does not exist; give a map, or a folder that lfgpu depth wrote."),
     ):
         if content is not None:
             (tmp_path / name).write_bytes(content)
