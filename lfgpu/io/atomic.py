@@ -76,7 +76,7 @@ def check_no_others(out: str | os.PathLike[str], new: Container[str], ours: re.P
     """Raise LightFieldError if a folder holds other files of names that are `ours` than the `new` ones."""
     names = sorted(path.name for path in Path(out).iterdir()) if Path(out).is_dir() else []
     if other := next((name for name in names if ours.fullmatch(name) and name not in new), None):
-        raise LightFieldError(f"{out} holds {other} of another light field; choose an empty folder.")
+        raise LightFieldError(f"{out} holds {other} of another light field or film; choose an empty folder.")
 
 
 def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
