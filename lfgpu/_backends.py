@@ -125,7 +125,9 @@ def alike(kernels: KernelSet, device: str) -> tuple[str, ...]:
 
 
 def _why_not(device: str) -> str:
-    """Return the reason why a device of another kind than CUDA's is not there, and what to do."""
+    """Return how GPUs are named, if that is no name of one; else why one of another kind than CUDA's is not there."""
+    if device.partition(":")[0] not in ("cuda", "metal", "vulkan"):
+        return "; GPUs are named cuda (the first), cuda:1 and so on, vulkan or metal"
     if device == "metal":
         return "; Metal needs macOS on Apple silicon and the backend 'taichi'"
     if device == "vulkan":

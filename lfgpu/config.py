@@ -131,7 +131,10 @@ class Config:
                 if value.is_integer() and isinstance(there[name].default, int):
                     value = int(value)
             section, parameter = name.split(".")
-            changed = dataclasses.replace(getattr(config, section), **{parameter: value})
+            try:
+                changed = dataclasses.replace(getattr(config, section), **{parameter: value})
+            except LightFieldError as error:  # it begins with the name of the parameter in its section
+                raise LightFieldError(f"{section}.{error}") from error
             config = dataclasses.replace(config, **{section: changed})
         return config
 

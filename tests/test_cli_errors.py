@@ -10,18 +10,20 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from command_line import OUTPUTS, RANGE, boxes, holes, lfgpu, refused
 
-from lfgpu import scenes
+from lfgpu import Viewer, estimate_depth, export_pipeline, save, scenes, write_report
+from lfgpu.calibration import load_pictures, read_calibration, read_rectifier, rectify
 from lfgpu.config import Config, Section, number, parameters
 from lfgpu.errors import LightFieldError
-from lfgpu.io import check_writable, formats, load, read as read_files, write_hci
+from lfgpu.io import check_writable, formats, load, read as read_files, read_map, read_mask, recognise, write_hci
 from lfgpu.io.formats import FORMATS, Format
 from lfgpu.io.frames import write_frames
 from lfgpu.methods import METHODS, PRESETS, Entry, preset
-from tests.made import raising
+from tests.made import made_result, raising
 
 
 def cut_short(folder: Path) -> None:
@@ -56,7 +58,7 @@ def test_damaged_inputs(damage: Callable[[Path], None], words: str, views: Path,
         (["--set", "prior.window=8"], "must be odd"),
         (["--preset", "paper", "--set", "refinement.solver=magic"], "lbfgs, lbfgsb"),
         (["--backend", "abacus"], "unknown backend 'abacus'"),
-        (["--device", "tpu"], "no device 'tpu'"),
+        (["--device", "gpu"], "no device 'gpu'; use one of "),
         (["--views", "circle"], "full, star, cross, row, column"),
         (["--format", "hologram"], "unknown format 'hologram'"),
         (["--reference-view", "9,0"], "no view at row 9, column 0"),
@@ -122,6 +124,36 @@ def test_an_empty_name_is_not_the_current_folder_in_python(tmp_path: Path, monke
         with pytest.raises(LightFieldError, match="the path is empty; name a file or a folder"):
             call("")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_no_path_is_refused(recorded: Path) -> None:
+    lf = boxes()
+    assert lf.truth is not None
+    result = made_result(lf.truth.disparity, position=(2.0, 2.0))
+    calls: tuple[Callable[[Any], object], ...] = (
+        read_files,
+        load,
+        result.save,
+        partial(save, result.map),
+        read_map,
+        read_mask,
+        recognise,
+        partial(write_report, lf=lf, result=result),
+        partial(export_pipeline, lf),
+        partial(write_hci, lf),
+        partial(write_frames, []),
+        lambda path: Viewer.of([path], port=0),
+        lambda path: rectify(recorded, calibration=path or 5),
+        rectify,
+        read_calibration,
+        read_rectifier,
+        load_pictures,
+        lambda path: estimate_depth(lf, weights=path or 5),
+    )
+    for call in calls:
+        for wrong in (None, 5):
+            with pytest.raises(LightFieldError, match=r"path must name a file or a folder, not (None|5)\."):
+                call(wrong)
 
 
 @pytest.mark.parametrize(

@@ -173,6 +173,7 @@ def test_wrong_options_of_render(recorded: Path, solved: Path, tmp_path: Path) -
         ("circle, across, down, focus", "--sweep", "square", "-o", tmp_path / "a.gif"),
         (".png or .tif", "--view", "1,1", "-o", tmp_path / "a.gif"),
         (".gif or .mp4", "--sweep", "circle", "-o", out),
+        ("which is the input", "--sweep", "circle", "-o", recorded),
         ("ROW,COL such as", "--view", "middle", "-o", out),
         ("too far away", "--maps", solved, "--view", "1,99", "-o", out),
         ("must be a number", "--refocus", "inf", "-o", out),

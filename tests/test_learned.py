@@ -174,7 +174,7 @@ def test_what_is_no_file_of_weights_is_refused(
     bias = weights["level1.0.bias"]
     for content, sentence in (
         (None, "it does not exist"),
-        ("text", "it is damaged, or another kind of file"),
+        ("text", "it is damaged, or another kind of file; give one that `lfgpu train` wrote."),
         ({"a": np.zeros(3)}, "holds no weights of a network"),
         ({"level0.weight": np.array(["a"])}, "another kind of file"),
         (weights | {"version": VERSION + 1}, f"version {VERSION + 1}, but this lfgpu uses version {VERSION}"),

@@ -227,6 +227,10 @@ def test_good_arguments_are_good_and_positions_are_copied() -> None:
         ({"views": np.zeros((3, 4, 4), np.int16)}, ["int16"]),
         ({"views": np.full((3, 4, 4), np.nan, np.float32)}, ["view 0 (row 0, column 0)", "NaN"]),
         ({"views": np.full((3, 4, 4), 255, np.float32)}, ["view 0", "255", "[0, 1]"]),
+        (
+            {"views": np.linspace(-0.5, 0.5, 48, dtype=np.float32).reshape(3, 4, 4)},
+            ["from -0.5 to 0.5, on both sides of 0", "[0, 1]"],
+        ),
         (views_of(1), ["a single view", "at least two"]),
         ({"positions": np.zeros((2, 2))}, ["positions", "3", "(2, 2)"]),
         ({"positions": np.full((3, 2), np.nan)}, ["positions", "finite"]),

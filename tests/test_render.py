@@ -18,7 +18,7 @@ from lfgpu._backends import open_device
 from lfgpu.cameras.points import visible
 from lfgpu.data import DisparityMap, LightField, ViewsResult
 from lfgpu.errors import LightFieldError
-from lfgpu.io.frames import write_frames, write_image
+from lfgpu.io.frames import check_frames_path, write_frames, write_image
 from lfgpu.methods import method_of
 from lfgpu.pipelines.all_views import estimate_all_views
 from lfgpu.viz.refocusing import all_in_focus, refocus
@@ -243,6 +243,17 @@ def test_films(tmp_path: Path) -> None:
     np.testing.assert_allclose(shown[2], frames()[2][:32], atol=0.12)
     write_frames(frames(), tmp_path / "a")
     assert [file.name for file in sorted((tmp_path / "a").iterdir())] == [f"frame_{n:03d}.png" for n in range(3)]
+
+
+def test_films_do_not_mix(tmp_path: Path) -> None:
+    for count in (3, 3):
+        write_frames(frames(count), tmp_path / "a")
+    for call in (lambda: write_frames(frames(2), tmp_path / "a"), lambda: check_frames_path(tmp_path / "a", 2)):
+        with pytest.raises(
+            LightFieldError, match=r"holds frame_002\.png of another light field or film; choose an empty"
+        ):
+            call()
+    assert len(list((tmp_path / "a").iterdir())) == 3
 
 
 def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

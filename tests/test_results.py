@@ -90,11 +90,15 @@ def changed(content: bytes, change: Callable[[dict[str, Any], dict[str, Any]], N
     return buffer.getvalue()
 
 
+AGAIN = "copy it again, or write it anew."
 DAMAGES: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "empty": (lambda _: b"", "cannot be read as NumPy data"),
-    "text": (lambda _: b"hello", "cannot be read as NumPy data"),
-    "half": (lambda whole: whole[: len(whole) // 2], "File is not a zip file"),
-    "a byte": (lambda whole: whole[:200] + bytes([whole[200] ^ 255]) + whole[201:], "NumPy data: Bad CRC"),
+    "empty": (lambda _: b"", f"NumPy data: it does not begin as .npy and .npz files do; {AGAIN}"),
+    "text": (lambda _: b"hello", f"NumPy data: it does not begin as .npy and .npz files do; {AGAIN}"),
+    "half": (lambda whole: whole[: len(whole) // 2], f"NumPy data: it ends too early; {AGAIN}"),
+    "a byte": (
+        lambda whole: whole[:200] + bytes([whole[200] ^ 255]) + whole[201:],
+        f"NumPy data: it is damaged .Bad CRC-32 for file 'disparity.npy'.; {AGAIN}",
+    ),
     "not JSON": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("{"))), "damaged result"),
     "a list": (lambda whole: changed(whole, lambda a, _: a.update(lfgpu=np.array("[]"))), "damaged result"),
     "no status": (lambda whole: changed(whole, lambda _, about: about.pop("status")), "it has no 'status'"),

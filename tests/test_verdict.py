@@ -168,6 +168,21 @@ def test_maps_of_all_views_are_less_confident_where_cameras_are_askew() -> None:
     assert (means[0] < means[1] - 0.1).all()
 
 
+def test_views_in_memory_of_fewer_bits_are_asked_for_white() -> None:
+    """Files have it found; of an array it cannot be known."""
+    lf = right()
+    for bits in (8, 12):
+        white = (1 << bits) - 1
+        few = replace(lf, views=np.round(lf.views * (white / 255)).astype(np.uint16))
+        given = replace(few, white=white)
+        assert few.views.dtype == np.uint16
+        notes = [by_estimate(views, (-3.0, 3.0), Path())[0] for views in (few, given)]
+        assert [
+            note for note in notes[0] if f"as those of {bits} bits do: give the light field white={white} if" in note
+        ]
+        assert notes[1] == ()
+
+
 def test_what_is_no_result_cannot_be_judged() -> None:
     lf = scenes.make("boxes", grid=(1, 3), size=(40, 48))
     with pytest.raises(lfgpu.LightFieldError, match="result must be what an estimate returned, found NoneType"):

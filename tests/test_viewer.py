@@ -143,6 +143,14 @@ def test_what_cannot_be_shown_is_a_sentence(name: str, words: str, tmp_path: Pat
     refused(view(tmp_path / name), words)
 
 
+def test_the_address_is_not_said_for_what_is_no_light_field(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("viser")
+    monkeypatch.setattr("lfgpu.cli.view._SOON", 0)
+    for options in ((), ("--format", "hologram")):
+        outcome = view(tmp_path, *options)
+        assert (outcome.code, outcome.out) == (1, "")
+
+
 def test_the_command_says_where_to_look_before_all_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reading waits here until the address was said."""
     said = threading.Event()

@@ -16,6 +16,7 @@ from lfgpu.calibration.rig import Rig
 from lfgpu.cameras.tones import Tones, squared_radius_at
 from lfgpu.contract import Float64Array
 from lfgpu.data import Geometry, LightField
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io import read
 from lfgpu.io.numpy_file import load_arrays
@@ -43,7 +44,7 @@ def read_rectifier(folder: str | os.PathLike[str]) -> Rectifier:
     >>> type(lfgpu.calibration.read_rectifier("rectified")).__name__
     'Rectifier'
     """
-    path = Path(folder)
+    path = named(folder)
     if not (path / NUMBERS).is_file():
         raise LightFieldError(f"{path} holds no {NUMBERS}; give a folder that `lfgpu rectify` wrote.")
     lf = read(path, lazy=True)

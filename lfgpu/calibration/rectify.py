@@ -18,6 +18,7 @@ from lfgpu.calibration.rig import Rig, fit_rig, matched, told_by_order
 from lfgpu.contract import Float32Array, Float64Array
 from lfgpu.data import DepthResult, DisparityMap, LightField
 from lfgpu.data.geometry import UNITS
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io import atomic_folder, check_writable, read, write_description
 from lfgpu.io.contradictions import contradictions
@@ -152,12 +153,12 @@ def rectify(
     (64, 80)
     """
     check_unit(unit)
-    pictures = source if isinstance(source, LightField) else _loaded(Path(source), calibration is not None)
+    pictures = source if isinstance(source, LightField) else _loaded(named(source), calibration is not None)
     if calibration is None and not isinstance(source, LightField):
-        beside = calibration_beside(Path(source))
+        beside = calibration_beside(named(source))
         calibration = None if beside is None else read_calibration(beside, unit=unit)
     elif calibration is not None and not isinstance(calibration, Calibration):
-        calibration = read_calibration(os.fspath(calibration), unit=unit)
+        calibration = read_calibration(calibration, unit=unit)
     rig, lf = None, pictures
     if unit is not None and depths is not None:
         depths = (UNITS[unit] * depths[0], UNITS[unit] * depths[1])

@@ -9,15 +9,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import Annotated, TypeVar
 
 import typer
 
 from lfgpu.cli.options import Reading, Threads
 from lfgpu.errors import LightFieldError
-
-if TYPE_CHECKING:
-    from lfgpu.viewer import Viewer
 
 T = TypeVar("T")
 _SOON = 0.4  # seconds: who reads for longer says first where to look
@@ -57,15 +54,13 @@ def view(
         if not path.exists():
             raise LightFieldError(f"{path} does not exist; give a light field, or what lfgpu depth wrote.")
     check_installed()
-    place = Place(port)
-
-    def viewer_of_paths() -> Viewer:
-        from lfgpu.viewer import Viewer  # takes most of a second
-
-        return Viewer.of(paths, port=place, allow_open=allow_open, **options)
-
     try:
-        coming = _begin(viewer_of_paths)
+        from lfgpu.viewer import Viewer  # takes most of a second
+        from lfgpu.viewer.contents import check_known
+
+        check_known(paths, **options)
+        place = Place(port)
+        coming = _begin(lambda: Viewer.of(paths, port=place, allow_open=allow_open, **options))
         wait([coming], _SOON)
         if coming.done():
             coming.result()  # raises what was wrong

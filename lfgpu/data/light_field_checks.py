@@ -1,8 +1,10 @@
-"""Checks of the arrays of a light field: numbers on a scale, and cameras at places of their own."""
+"""Checks of arguments: numbers, texts and paths, values on a scale, and cameras at places of their own."""
 
 import math
+import os
 from collections.abc import Iterable
 from numbers import Integral, Real
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -64,6 +66,15 @@ def texts(name: str, values: Any) -> tuple[str, ...]:
     return tuple(map(str, values))
 
 
+def named(path: str | os.PathLike[str]) -> Path:
+    """Return a path; LightFieldError if it is none, or empty, which would mean the current folder."""
+    if not isinstance(path, str | os.PathLike):
+        raise LightFieldError(f"path must name a file or a folder, not {path!r:.60}.")
+    if not os.fspath(path):
+        raise LightFieldError("the path is empty; name a file or a folder.")
+    return Path(path)
+
+
 def without_mask(views: Any, valid: Any) -> tuple[Any, Any]:
     """Return the values of views that may be a NumPy masked array, and `valid` with what is not masked in any channel.
 
@@ -80,15 +91,20 @@ def check_values(views: NDArray[Any], positions: NDArray[np.float64]) -> None:
     """Raise LightFieldError that names the view if float views [n, y, x, c] are not finite and on [0, 1]."""
     if views.dtype != np.float32:
         return
+    lows, highs = np.empty((2, len(views)))
 
     def check(index: int, view: NDArray[Any]) -> None:
         low, high = float(view.min()), float(view.max())
+        lows[index], highs[index] = low, high
         where = f"view {index} (row {positions[index, 1]:g}, column {positions[index, 0]:g})"
         if not np.isfinite(low + high):
             raise LightFieldError(f"{where} has NaN or infinite values; float views must be finite.")
         check_scaled(where, low, high)
 
     each_view(views, range(len(views)), check)
+    low, high = lows.min(), highs.max()
+    if low < _FLOAT_RANGE[0] * high:  # resampling overshoots by a part of what is there
+        raise LightFieldError(f"views have values from {low:g} to {high:g}, on both sides of 0; scale them to [0, 1].")
 
 
 def check_scaled(where: str, low: float, high: float) -> None:

@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
 
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 
 try:
@@ -75,7 +76,7 @@ def check_no_others(out: str | os.PathLike[str], new: Container[str], ours: re.P
     """Raise LightFieldError if a folder holds other files of names that are `ours` than the `new` ones."""
     names = sorted(path.name for path in Path(out).iterdir()) if Path(out).is_dir() else []
     if other := next((name for name in names if ours.fullmatch(name) and name not in new), None):
-        raise LightFieldError(f"{out} holds {other} of another light field; choose an empty folder.")
+        raise LightFieldError(f"{out} holds {other} of another light field or film; choose an empty folder.")
 
 
 def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
@@ -91,13 +92,6 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
         raise LightFieldError(f"{target} cannot be written: {place} is a file, not a folder; choose another place.")
     if not os.access(place, os.W_OK | os.X_OK):
         raise LightFieldError(f"{target} cannot be written: no permission to write in {place}; choose another place.")
-
-
-def named(path: str | os.PathLike[str]) -> Path:
-    """Return a path; LightFieldError if it is empty, which would mean the current folder."""
-    if not os.fspath(path):
-        raise LightFieldError("the path is empty; name a file or a folder.")
-    return Path(path)
 
 
 def _resolved(path: str | os.PathLike[str]) -> Path:

@@ -49,24 +49,46 @@ def with_white(light_field: LightField) -> LightField:
     Parameters of the methods are in units of intensity: in views that are taken for 16 times darker than they are,
     everything is noise to them.
     """
-    if light_field.views.dtype != np.uint16 or light_field.white is not None:
+    found = _fewer_bits(light_field)
+    if found is None:
         return light_field
-    highest = np.zeros(len(light_field.views), np.int64)
-
-    def look(index: int, view: NDArray[Any]) -> None:
-        highest[index] = view.max()
-
-    each_view(light_field.views, range(len(light_field.views)), look)
-    largest = int(highest.max())
-    bits = next((bits for bits in _BITS if largest < 1 << bits), 16)
-    if bits == 16 or largest == 0:
-        return light_field
+    largest, bits = found
     white = (1 << bits) - 1
     note = (
         f"The values go up to {largest} of 65535: they are taken for {bits} bits, {white} for white. If they are dark "
         "pictures of 16 bits, nothing is lost by that."
     )
     return replace(light_field, white=white, notes=(*light_field.notes, note))
+
+
+def ask_for_white(light_field: LightField) -> str | None:
+    """Ask for `white` where uint16 views without it use fewer bits than they have; None elsewhere."""
+    found = _fewer_bits(light_field)
+    if found is None:
+        return None
+    largest, bits = found
+    return (
+        f"The values go up to {largest} of 65535, as those of {bits} bits do: give the light field "
+        f"white={(1 << bits) - 1} if that is white, or the views are taken for dark, and much in them for noise."
+    )
+
+
+def _fewer_bits(light_field: LightField) -> tuple[int, int] | None:
+    """Find the largest value of uint16 views without `white`, and the bits that it takes; None for all 16, or none."""
+    views = light_field.views
+    if views.dtype != np.uint16 or light_field.white is not None:
+        return None
+    if views[light_field.reference_index].max() >= 1 << _BITS[-1]:  # a look at one view is enough
+        return None
+    highest = np.zeros(len(views), np.int64)
+
+    def look(index: int, view: NDArray[Any]) -> None:
+        highest[index] = view.max()
+
+    each_view(views, range(len(views)), look)
+    largest = int(highest.max())
+    bits = next((bits for bits in _BITS if largest < 1 << bits), None)
+    return None if bits is None or largest == 0 else (largest, bits)
 
 
 _BLACK = 0.016  # intensity: 4 of 255

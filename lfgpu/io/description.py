@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data import Geometry, GroundTruth, LightField
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_write, check_writable
 from lfgpu.io.damage import naming, read_as
@@ -98,7 +99,7 @@ def write_description(light_field: LightField, path: str | os.PathLike[str], *, 
     and what else `lfgpu.read` was told, which is read again, and the positions of its views. Ground truth goes into
     files beside it: NAME.truth.pfm, NAME.mask.png; so does the validity of views: NAME.valid_000.png and so on.
     """
-    target = Path(path)
+    target = named(path)
     if target.suffix.lower() not in (".toml", ".json"):
         raise LightFieldError(f"{target} must be named .toml or .json.")
     check_writable(target, folder=False)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from lfgpu.data import Inside, LightField
-from lfgpu.data.light_field_checks import check_whole
+from lfgpu.data.light_field_checks import check_whole, named
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
 from lfgpu.io import (
@@ -31,7 +31,6 @@ from lfgpu.io import (
     video,
 )
 from lfgpu.io.arrays import check_axes
-from lfgpu.io.atomic import named
 from lfgpu.io.brightness import with_white, without_black_corners
 from lfgpu.io.contradictions import contradictions
 from lfgpu.io.damage import check_fetched
@@ -295,8 +294,6 @@ def read(
     >>> lfgpu.read("boxes").grid_shape
     (5, 5)
     """
-    if not isinstance(path, str | os.PathLike):
-        raise LightFieldError(f"path must name a file or a folder, not {path!r:.60}.")
     path = named(path)
     check_flip(flip)
     check_grid_option(grid, order)
@@ -367,7 +364,7 @@ def chosen_format(path: Path, name: str | None, pattern: str | None = None) -> t
 
 def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
     """Return the format of a path and why it is taken for that; LightFieldError if it is none that is known."""
-    path = Path(path)
+    path = named(path)
     check_exists(path)
     for candidate in FORMATS:
         reason = candidate.recognise(path)
@@ -407,7 +404,7 @@ def _each_its_own(folder: Path, them: list[Path], what: str) -> str:
 
 def inside(path: str | os.PathLike[str], *, format: str) -> Inside:  # noqa: A002 - as for `read`
     """Describe what a path of a format holds beside views, or instead of them; LightFieldError if it is damaged."""
-    path, chosen = Path(path), _named(format)
+    path, chosen = named(path), _named(format)
     check_exists(path)
     return Inside(()) if chosen.inside is None else chosen.inside(path)
 
@@ -448,6 +445,11 @@ def _contents(path: Path, found: list[Path]) -> str:
     if not found:
         return "an empty folder"
     said = f"a folder with {listed(found)}"
+    if sum(entry.suffix.lower() == ".npy" for entry in found) > 1 and not image_files(path):
+        return (
+            f"{said}: if each is one view, stack them as one file, such as numpy.save('views.npy', numpy.stack(views)) "
+            "of [n, y, x, c]; if each is a light field, give one"
+        )
     if any(entry.is_dir() or entry.suffix.lower() in _NAMED_SO for entry in found):
         return said
     if not image_files(path):

@@ -1,6 +1,7 @@
 """Rendered images as files: one as PNG or TIFF, many as GIF, MP4 or a folder of PNGs."""
 
 import os
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
@@ -10,18 +11,21 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lfgpu.contract import Float32Array
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
-from lfgpu.io.atomic import atomic_folder, atomic_write, named
+from lfgpu.io.atomic import atomic_folder, atomic_write, check_no_others
 from lfgpu.io.damage import require
 from lfgpu.io.png import quantised, write_png
 
 _FPS = 15.0
 _QUALITY = 8  # of 10
+_FRAME = "frame_{:03d}.png"
+_FRAMES = re.compile(r"frame_\d+\.png")
 
 
 def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any = np.uint8) -> None:
     """Write an image, float32 [y, x, c] in [0, 1], as .png (`dtype` uint8, uint16) or .tif; whole or not at all."""
-    path = Path(path)
+    path = named(path)
     check_image_path(path)
     with atomic_write(path) as temporary:
         if path.suffix.lower() == ".png":
@@ -35,7 +39,7 @@ def write_image(image: Float32Array, path: str | os.PathLike[str], *, dtype: Any
 
 def check_image_path(path: str | os.PathLike[str]) -> None:
     """Raise LightFieldError if `write_image` could not write such a file."""
-    path = Path(path)
+    path = named(path)
     if path.suffix.lower() not in (".png", ".tif", ".tiff"):
         raise LightFieldError(f"{path} cannot be written: an image is stored as .png or .tif; choose one of these.")
     if path.suffix.lower() != ".png":
@@ -48,7 +52,7 @@ def write_frames(
     """Write images of one size, float32 [y, x, c] in [0, 1], as a film; whole or not at all.
 
     A path is .gif, which repeats for ever; .mp4 (H.264), which cuts an odd row or column off; or without a suffix a
-    folder of frame_000.png and so on, of a `dtype`.
+    folder of frame_000.png and so on, of a `dtype`. LightFieldError if the folder holds more frames of another film.
     """
     path = named(path)
     check_frames_path(path)
@@ -61,16 +65,19 @@ def write_frames(
         return
     with atomic_folder(path) as folder:
         for index, frame in enumerate(frames):
-            write_png(folder / f"frame_{index:03d}.png", quantised(frame, dtype))
+            write_png(folder / _FRAME.format(index), quantised(frame, dtype))
+        check_no_others(path, {file.name for file in folder.iterdir()}, _FRAMES)
 
 
-def check_frames_path(path: str | os.PathLike[str]) -> None:
-    """Raise LightFieldError if `write_frames` could not write such a file or folder."""
-    path = Path(path)
+def check_frames_path(path: str | os.PathLike[str], count: int | None = None) -> None:
+    """Raise LightFieldError if `write_frames` could not write such a file, or a folder of `count` frames."""
+    path = named(path)
     if path.suffix and path.suffix.lower() not in _FILMS:
         raise LightFieldError(
             f"{path} cannot be written: a film is stored as .gif or .mp4, or without a suffix as a folder of PNGs."
         )
+    if not path.suffix and count is not None:
+        check_no_others(path, {_FRAME.format(index) for index in range(count)}, _FRAMES)
     if path.suffix.lower() == ".mp4":
         require("imageio_ffmpeg", "video", path)
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 from PIL.TiffImagePlugin import TiffImageFile
 
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io import pillow
 from lfgpu.io.damage import check_claim, check_fetched, read_as
@@ -55,7 +56,7 @@ def read_view(
     is more transparent than not, None without transparency; and what was converted: `TURNED`, `INVERTED`, `LINEAR`,
     `UNKNOWN`, `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused, but for OpenEXR.
     """
-    path = Path(path)
+    path = named(path)
     with read_as(path, "an image"):
         try:
             image, converted = _decode(path)

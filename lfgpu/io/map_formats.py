@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.data import DepthResult, DisparityMap, ViewsResult
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io import exr, image_maps, pfm, ply, results
-from lfgpu.io.atomic import atomic_write, named
+from lfgpu.io.atomic import atomic_write
 from lfgpu.io.damage import check_fetched, how_to_install, read_as
 from lfgpu.io.folders import not_waited_for
 
@@ -149,7 +150,7 @@ def save(
             f"result must be what an estimate returned, or a map: lfgpu.DisparityMap(disparity); found "
             f"{type(result).__name__}."
         )
-    path = Path(path)
+    path = named(path)
     chosen = writable_format(path)
     assert chosen.write is not None  # that is what writable means
     if not isinstance(result, DisparityMap) and chosen.write_whole is not None:
@@ -226,13 +227,13 @@ def one_map(found: DepthResult | ViewsResult | DisparityMap, at: Sequence[float]
 
 def read_map(path: str | os.PathLike[str]) -> NDArray[np.float32]:
     """Read a map of any of `MAP_FORMATS`, float32 [y, x], top row first, in the unit of the file."""
-    path = Path(path)
+    path = named(path)
     return _map(path, readable_format(path)).disparity
 
 
 def holds_map(path: str | os.PathLike[str]) -> bool:
     """Tell whether a path is there and is what `load` reads, by its suffix, and by its contents if need be."""
-    path = Path(path)
+    path = named(path)
     if path.is_dir():
         return result_in(path) is not None
     chosen = _named_as(path)
@@ -251,7 +252,7 @@ def result_in(folder: Path) -> Path | None:
 
 def writable_format(path: str | os.PathLike[str]) -> MapFormat:
     """Return the entry that writes a file; LightFieldError if there is none, or its library is missing."""
-    path = Path(path)
+    path = named(path)
     chosen = _named_as(path)
     if chosen is None or chosen.write is None:
         known = _suffixes(entry for entry in MAP_FORMATS if entry.write is not None)
@@ -264,6 +265,8 @@ def readable_format(path: Path) -> MapFormat:
     check_fetched(path)
     not_waited_for(path)
     chosen = _named_as(path)
+    if not path.suffix and not path.exists():
+        raise LightFieldError(f"{path} does not exist; give a map, or a folder that lfgpu depth wrote.")
     if chosen is None or chosen.read is None:
         known = _suffixes(entry for entry in MAP_FORMATS if entry.read is not None)
         raise LightFieldError(f"{path} is not a kind of map that can be read; known are {known}.")

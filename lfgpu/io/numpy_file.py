@@ -2,7 +2,8 @@
 
 import math
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -13,7 +14,7 @@ from lfgpu.data import LightField, Reading
 from lfgpu.data.mapping import mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io.arrays import arranged, field_of, grid_field, storable
-from lfgpu.io.damage import check_claim, check_memory, read_as
+from lfgpu.io.damage import check_claim, check_memory, read_as, reason_of
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
 
@@ -31,22 +32,42 @@ def load_arrays(path: Path, names: Sequence[str] = (), *, of_maps: bool = False)
 
     LightFieldError if the file is damaged, holds Python objects, claims more than it can hold, or lacks the first one.
     """
-    with read_as(path, "NumPy data"):
+    with read_as(path, "NumPy data"), _told(path):
         if of_maps:
             check_archive(path)
         return _archive(path, names) if not names or head(path, 4) == ZIP else {names[0]: _file(path)}
+
+
+@contextmanager
+def _told(path: Path) -> Iterator[None]:
+    """Say what is wrong with a file that zipfile or NumPy cannot read, and what to do."""
+    try:
+        yield
+    except (LightFieldError, OSError):
+        raise
+    except Exception as error:
+        start = head(path, len(MAGIC))
+        if start != MAGIC and start[:4] != ZIP:
+            reason = "it does not begin as .npy and .npz files do"
+        elif isinstance(error, EOFError) or (
+            start != MAGIC and not zipfile.is_zipfile(path)
+        ):  # whose list is at its end
+            reason = "it ends too early"
+        else:
+            reason = f"it is damaged ({reason_of(error)})"
+        raise ValueError(f"{reason}; copy it again, or write it anew") from error
 
 
 def _file(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
         shape, dtype, fortran = header(path, file)
         size = dtype.itemsize * math.prod(int(side) for side in shape)
-        if wanted_on_disk() and size > 0:
-            check_claim(path, shape, dtype, in_memory=False)
-            if size > path.stat().st_size - file.tell():
-                raise ValueError("it ends too early")
+        on_disk = wanted_on_disk() and size > 0
+        check_claim(path, shape, dtype, in_memory=not on_disk)
+        if size > path.stat().st_size - file.tell():
+            raise EOFError
+        if on_disk:
             return mapped(file, shape, dtype, offset=file.tell(), fortran=fortran)
-        check_claim(path, shape, dtype)
         file.seek(0)
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False))
 

@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu.data import LightField
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.folders import not_waited_for
 
@@ -146,7 +147,7 @@ class RingWriter:
         # It refuses what no light field can be, without taking memory for the views.
         like = LightField(np.broadcast_to(np.zeros((), dtype), (len(places), *size, channels)), places, reference)
         self._kind = _Kind(places, like.size, channels, like.views.dtype, like.reference_index, slots)
-        self.path = Path(path)
+        self.path = named(path)
         """The file."""
         self._file = self._create()
         self._memory = mmap.mmap(self._file.fileno(), self._kind.total)
@@ -273,7 +274,7 @@ class RingReader:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         _check_system()
-        self.path = Path(path)
+        self.path = named(path)
         """The file."""
         not_waited_for(self.path)
         try:

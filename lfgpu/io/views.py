@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data import LightField
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io.disk import Collected
 from lfgpu.io.folders import image_files
@@ -84,7 +85,7 @@ def load_pictures(folder: str | os.PathLike[str]) -> LightField:
     >>> lfgpu.calibration.load_pictures("rig").views.shape
     (25, 64, 80, 3)
     """
-    path = Path(folder)
+    path = named(folder)
     if not path.is_dir():
         raise LightFieldError(f"{path} is not a folder with pictures.")
     files = image_files(path) or (image_files(path / "images") if (path / "images").is_dir() else [])

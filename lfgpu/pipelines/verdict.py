@@ -25,6 +25,7 @@ from lfgpu.data import DepthResult, LightField
 from lfgpu.data.layout import in_pattern
 from lfgpu.data.lightfield import check_light_field
 from lfgpu.errors import LightFieldError
+from lfgpu.io.brightness import ask_for_white
 from lfgpu.io.contradictions import no_parallax
 from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
@@ -53,6 +54,7 @@ class Verdict:
 
     def on(self, lf: LightField, result: DepthResult) -> DepthResult:
         """Add the notes and remarks to a result of the reference view of `lf`, and lower its confidence accordingly."""
+        asked = ask_for_white(lf)
         if self.shows_nothing:  # then the map's own notes mean nothing
             low, high = result.disparity_range
             unknown = np.float32((high - low) / math.sqrt(12))  # of a number that may be any in the range
@@ -60,13 +62,13 @@ class Verdict:
                 result,
                 confidence=np.minimum(result.confidence, np.float32(_NOTHING)),
                 uncertainty=None if result.uncertainty is None else np.maximum(result.uncertainty, unknown),
-                notes=tuple(filter(None, [self.note])),
+                notes=tuple(filter(None, [asked, self.note])),
             )
         if self.cameras is not None:
             result = trusted(lf, result, self.cameras)
         own = map_notes(result.disparity, result.confidence, result.disparity_range)
         coarse = method_of(result.config).doubt(lf.layout, result.disparity_range)
-        said = dict.fromkeys((self.note, coarse, *result.notes))
+        said = dict.fromkeys((asked, self.note, coarse, *result.notes))
         earlier = [note for note in said if note is not None and note not in own]
         return replace(result, notes=(*earlier, *own))
 

@@ -9,10 +9,9 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lfgpu.cameras import Explanation
@@ -20,7 +19,7 @@ from lfgpu.config import parameters, value_of
 from lfgpu.data import DepthResult, LightField
 from lfgpu.data.summary import UNIT, pixels, view_at
 from lfgpu.errors import LightFieldError
-from lfgpu.io import REPORT_FILE as REPORT_FILE, atomic_write
+from lfgpu.io import REPORT_FILE as REPORT_FILE, atomic_write, check_writable
 from lfgpu.methods import method_of, nearest_preset
 from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
 from lfgpu.reports import charts, facts
@@ -28,6 +27,9 @@ from lfgpu.reports.epis import Point, epi_cards, find_points
 from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, view_card
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import rgb
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _HEADS = ("MSE ×100", "BadPix 0.07 (%)", "BadPix 0.03 (%)", "BadPix 0.01 (%)", "Q25 ×100", "RMSE", "undefined (%)")
 _SAME_PLACE = 1e-6  # view steps
@@ -80,6 +82,7 @@ def write_report(
     --------
     >>> lfgpu.write_report("report.html", lf, result)
     """
+    check_writable(path, folder=False)
     page = html(lf, result, origin=origin, explanation=explanation)
     with atomic_write(path) as temporary:
         temporary.write_text(page, encoding="utf-8", errors="backslashreplace")

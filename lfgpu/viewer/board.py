@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lfgpu.data import DepthResult, DisparityMap, LightField
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.reporting import heard_by
 from lfgpu.viewer.contents import LIVE, Contents, Entry, opened, opened_all
@@ -113,15 +114,17 @@ class Board:
 
     def load(self, paths: Sequence[str | os.PathLike[str]], **reading: Any) -> None:
         """Read files and show them; meanwhile pages say what is being read. `Viewer.of` describes the parameters."""
-        self._given = tuple(Path(path).resolve() for path in paths)
-        with self._reading(", ".join(Path(path).name for path in paths)):
-            contents = opened_all([Path(path) for path in paths], **reading)
+        files = [named(path) for path in paths]
+        self._given = tuple(file.resolve() for file in files)
+        with self._reading(", ".join(file.name for file in files)):
+            contents = opened_all(files, **reading)
         self.replace(contents)
 
     def open(self, path: str | os.PathLike[str]) -> None:
         """Open a path: a light field replaces everything, a map is added. LightFieldError if it is neither."""
-        with self._reading(Path(path).name):
-            contents = opened(Path(path), self._contents)
+        file = named(path)
+        with self._reading(file.name):
+            contents = opened(file, self._contents)
         added = [name for name in contents.entries if name not in self._contents.entries]
         self.replace(contents, newest=added[-1] if added else None)
 

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from lfgpu.data import DepthResult, DisparityMap, Geometry, GroundTruth, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import holds_map, load, one_map, read
+from lfgpu.io import holds_map, load, one_map, read, recognise
+from lfgpu.io.formats import chosen_format
 from lfgpu.metrics import Metrics, evaluate
 from lfgpu.viewer.film import Film, holds_maps_of_frames
 from lfgpu.viz.colours import LOOKS
@@ -263,6 +264,15 @@ def opened(path: Path, into: Contents) -> Contents:
 
 def _is_map(path: Path) -> bool:
     return holds_maps_of_frames(path) or holds_map(path)
+
+
+def check_known(paths: Sequence[Path], **reading: Any) -> None:
+    """Raise LightFieldError if one of the paths is none that `opened_all` opens, by a quick look."""
+    if reading:
+        chosen_format(paths[0], reading.get("format"), reading.get("pattern"))
+    for path in paths[1:] if reading else paths:
+        if not _is_map(path) and Film.of(path) is None:
+            recognise(path)
 
 
 def opened_all(paths: Sequence[Path], **reading: Any) -> Contents:

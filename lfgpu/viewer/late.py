@@ -9,6 +9,7 @@ import threading
 
 from lfgpu import methods
 from lfgpu._backends import DEFAULT
+from lfgpu.viz.colours import any_backend
 
 _MODULES = (
     "lfgpu.viz.refocusing",
@@ -28,6 +29,6 @@ _importing = threading.Lock()
 
 def import_all() -> None:
     """Import these modules, unless that was done. Other callers wait meanwhile, so that they load no kernel yet."""
-    with _importing:
+    with _importing, any_backend():
         for name in (*_MODULES, *(one.name for one in pkgutil.walk_packages(methods.__path__, f"{methods.__name__}."))):
             importlib.import_module(name)

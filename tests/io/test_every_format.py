@@ -78,6 +78,9 @@ def test_what_is_no_light_field(tmp_path: Path) -> None:
         (tmp_path / name).write_text("")
     assert "a folder with a.txt, b.txt, c.txt and 1 more" in refusal(lambda: read(tmp_path))
     assert "none of which is a picture that can be read: convert them" in refusal(lambda: read(tmp_path))
+    for name in ("view_00.npy", "view_01.npy"):
+        np.save(tmp_path / name, np.zeros((4, 5), np.uint8))
+    assert "if each is one view, stack them as one file, such as numpy.save(" in refusal(lambda: read(tmp_path))
     text = refusal(lambda: read(tmp_path / "a.txt"))
     assert "a.txt" in text
     assert "give the folder" in text

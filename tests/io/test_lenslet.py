@@ -368,5 +368,5 @@ def test_decoded_views_are_read_again(sample: Sample, tmp_path: Path) -> None:
     assert np.array_equal(again.positions, decoded.light_field.positions)
     assert json.loads((tmp_path / "out" / "lenslet.json").read_text()) == decoded.about
     text = refusal(lambda: write_decoded(decode(raw, views=5), tmp_path / "out"))
-    assert "holds view_00_05.png of another light field" in text
+    assert "holds view_00_05.png of another light field or film; choose" in text
     write_decoded(decoded, tmp_path / "out")

@@ -78,9 +78,13 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
         ("line.npy", None, "shape (4,)"),
         ("pickle.npy", None, "cannot be read as NumPy data"),
         ("complex.npy", None, "complex128"),
-        ("short.npy", (tmp_path / "line.npy").read_bytes()[:-8], "cannot be read as NumPy data"),
+        (
+            "short.npy",
+            (tmp_path / "line.npy").read_bytes()[:-8],
+            "cannot be read as NumPy data: it ends too early; copy it again",
+        ),
         ("keys.npz", None, "no array 'disparity'; it holds depth"),
-        ("broken.npz", (tmp_path / "keys.npz").read_bytes()[:100], "cannot be read as NumPy data"),
+        ("broken.npz", (tmp_path / "keys.npz").read_bytes()[:100], "cannot be read as NumPy data: it ends too early"),
         ("colour.tif", None, "colour image"),
         ("map.exr", b"", "not an OpenEXR file"),
         ("map.jpg", None, "known are .pfm, .npz, .png, .tif, .exr, .npy"),
@@ -88,6 +92,7 @@ def test_what_is_no_map_is_refused(tmp_path: Path) -> None:
         ("folder.npy", None, "cannot be read: Is a directory"),
         ("missing.pfm", None, "cannot be read: No such file"),
         ("missing.tif", None, "No such file"),
+        ("missing", None, "does not exist; give a map, or a folder that lfgpu depth wrote."),
     ):
         if content is not None:
             (tmp_path / name).write_bytes(content)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -25,6 +25,7 @@ from lfgpu.calibration.formats.nerfstudio import nerfstudio_cameras
 from lfgpu.calibration.formats.opencv import is_kalibr, kalibr_cameras, opencv_cameras
 from lfgpu.calibration.formats.toml import read_toml, write_cameras
 from lfgpu.data.geometry import UNITS
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io.taken import check_unit
 from lfgpu.io.texts import read_json_or_toml
@@ -62,7 +63,7 @@ class Calibration:
     rig: tuple[Camera, ...] = ()
 
 
-def read_calibration(path: str | Path, *, unit: str | None = None) -> Calibration:
+def read_calibration(path: str | os.PathLike[str], *, unit: str | None = None) -> Calibration:
     """Read calibrated cameras.
 
     Parameters
@@ -102,8 +103,8 @@ def _scaled(camera: Camera, scale: float) -> Camera:
     return replace(camera, translation=scale * np.asarray(camera.translation))
 
 
-def _read(path: str | Path) -> Calibration:
-    file = Path(path)
+def _read(path: str | os.PathLike[str]) -> Calibration:
+    file = named(path)
     depths, rig, suffix = None, list[Camera](), file.suffix.lower()
     if file.is_dir():
         if not holds_colmap(file):

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data import LightField
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.io.atomic import atomic_folder, check_no_others
 from lfgpu.io.lenslet import bayer as mosaics
@@ -67,13 +68,13 @@ def decode(
     takes the largest odd number for which those in the corners lie under the microlens. `progress` takes a few words
     for each step.
     """
-    path = Path(path)
+    path = named(path)
     if views is not None and not 2 <= views <= _MOST_VIEWS:
         raise LightFieldError(f"the number of views must be 2 to {_MOST_VIEWS}, not {views}.")
     pattern = None if bayer is None else mosaics.check_pattern(bayer)
     capture = read_capture(path)
     pattern, notes = (pattern, ()) if pattern else _pattern(capture)
-    even = None if white is None else _white_image(Path(white), capture.mosaic.shape)
+    even = None if white is None else _white_image(named(white), capture.mosaic.shape)
     progress("looking for the microlenses")
     sensor = _Sensor(
         capture.mosaic,

@@ -7,7 +7,6 @@ weights.
 from __future__ import annotations
 
 import os
-import zipfile
 from collections.abc import Mapping, Sequence
 from functools import cache, lru_cache
 from hashlib import sha256
@@ -17,6 +16,7 @@ import numpy as np
 
 from lfgpu.contract import COSTS, FOLD, Array, Float32Array, Rows, Scalar
 from lfgpu.data.layout import ViewLayout
+from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.arena import Arena, Scratch
 from lfgpu.methods.matching.unet import (
@@ -55,8 +55,9 @@ class WeightsFile(str):
 
 def weights_file(path: str | os.PathLike[str]) -> WeightsFile:
     """Read a file of weights, to be one of the parameters; LightFieldError as `read_weights`."""
-    about = Path(path).stat() if Path(path).is_file() else None
-    return _read_once(os.fspath(path), about and (about.st_mtime_ns, about.st_size, about.st_ino))
+    file = named(path)
+    about = file.stat() if file.is_file() else None
+    return _read_once(str(file), about and (about.st_mtime_ns, about.st_size, about.st_ino))
 
 
 @lru_cache(maxsize=8)
@@ -112,9 +113,11 @@ def read_file(path: str | os.PathLike[str]) -> dict[str, Float32Array]:
     try:
         with np.load(path) as file:
             weights = {name: file[name].astype(np.float32) for name in file.files}
-    except (OSError, ValueError, TypeError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+    except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
         reason = "it does not exist" if not Path(path).exists() else "it is damaged, or another kind of file"
-        raise LightFieldError(f"{path} cannot be read as a file of weights (.npz): {reason}.") from error
+        raise LightFieldError(
+            f"{path} cannot be read as a file of weights (.npz): {reason}; give one that `lfgpu train` wrote."
+        ) from error
     version = float(weights.pop("version", VERSION))
     if version != VERSION:
         raise LightFieldError(
