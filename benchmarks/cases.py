@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -73,5 +73,5 @@ def load(path: Path) -> LightField:
     with np.load(path) as arrays:
         views, truth = arrays["views"], arrays["truth"]
     lf = LightField.from_grid(views, name=_SCENE)
-    u, v = lf.positions[lf.reference_index]
-    return LightField.from_grid(views, name=_SCENE, truth=GroundTruth(truth, (float(u), float(v))))
+    u, v = lf.positions[lf.reference_index].tolist()
+    return replace(lf, truth=GroundTruth(truth, (u, v)))

@@ -6,7 +6,6 @@ Maps depend on the weights of the network and on the sweeps, so a choice is trai
 from __future__ import annotations
 
 import gc
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
@@ -29,7 +28,7 @@ from lfgpu.methods.matching.learned import WeightsFile
 from lfgpu.methods.matching.plan import MatchingPlan
 from lfgpu.training.compared import Windows
 from lfgpu.training.generator import Generator
-from lfgpu.training.network import FOLD, Choice
+from lfgpu.training.network import FOLD, Choice, follow, learning_rate
 from lfgpu.training.scenes import SPANS
 
 _DISTURBED = 0.2  # standard deviation of factors of weights
@@ -209,9 +208,8 @@ def train_choice(
     number, side = len(seen.truth), seen.truth.shape[-1]
     crop = min(_CROP, side)
     for step in range(steps):
-        rate = _RATE * min((step + 1) / _WARM_UP, 1) * max(0.5 + 0.5 * math.cos(math.pi * step / steps), 0.01)
         for group in optimiser.param_groups:
-            group["lr"] = rate
+            group["lr"] = learning_rate(_RATE, step, steps, _WARM_UP)
         y, x = rng.integers(0, side - crop + 1, 2)
         turns, is_mirrored = int(rng.integers(4)), bool(rng.integers(2))
 
@@ -227,10 +225,6 @@ def train_choice(
         loss.backward()
         torch.nn.utils.clip_grad_norm_(network.parameters(), 1.0)
         optimiser.step()
-        share = 1 - min(0.999, (step + 1) / (step + 20))
-        with torch.no_grad():
-            for old, new in zip(mean.state_dict().values(), network.state_dict().values(), strict=True):
-                if old.is_floating_point():
-                    old.lerp_(new, share)
+        follow(mean, network, step + 1)
         on_step(step + 1, loss.detach())
     return mean.eval()

@@ -67,10 +67,9 @@ def render(cloud: Cloud, size: tuple[int, int]) -> NDArray[np.uint8]:
     centre = cloud.centre
     turned = (cloud.points - centre) @ Rotation.from_euler("YX", (_YAW, _PITCH)).as_matrix()
     z = turned[:, 2] + centre[2]
-    scale = _ZOOM * min(
-        width / np.ptp(turned[:, 0] * centre[2] / z), height / np.ptp(turned[:, 1] * centre[2] / z)
-    )  # pixels for one unit, in the middle
-    x, y = (turned[:, axis] * centre[2] / z * scale for axis in (0, 1))
+    x, y = (turned[:, axis] * centre[2] / z for axis in (0, 1))
+    scale = _ZOOM * min(width / np.ptp(x), height / np.ptp(y))  # pixels for one unit, in the middle
+    x, y = x * scale, y * scale
     x, y = x - (x.min() + x.max()) / 2 + width / 2, y - (y.min() + y.max()) / 2 + height / 2
     reach = _SPLAT * cloud.spacing * scale / 2
     picture, depth = np.full((height, width, 3), 255, np.uint8), np.full((height, width), np.inf)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import os
 import platform
 import subprocess
 from typing import Any
 
 from benchmarks.sources import ROOT, stamp
-from lfgpu.machine import device_name
+from lfgpu.io.damage import physical_memory
+from lfgpu.machine import device_name, version_of
 
 _PACKAGES = ("lfgpu", "warp-lang", "taichi", "numpy", "scipy")
 
@@ -26,7 +26,7 @@ def describe() -> dict[str, Any]:
     return {
         "cpu": device_name("cpu") or platform.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
-        "memory_bytes": _memory(),
+        "memory_bytes": physical_memory() or None,
         "gpus": gpus,
         "driver": drivers[0] if drivers else None,
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
@@ -36,13 +36,7 @@ def describe() -> dict[str, Any]:
 
 def versions() -> dict[str, str | None]:
     """List the versions of lfgpu and the packages that compute for it; None where one is not installed."""
-    found: dict[str, str | None] = {}
-    for name in _PACKAGES:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            found[name] = None
-    return found
+    return {name: version_of(name) for name in _PACKAGES}
 
 
 def commit() -> str | None:
@@ -68,10 +62,3 @@ def _said(*command: str) -> str | None:
     except (OSError, subprocess.TimeoutExpired):
         return None
     return done.stdout if done.returncode == 0 else None
-
-
-def _memory() -> int | None:
-    try:
-        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    except (AttributeError, ValueError, OSError):
-        return None

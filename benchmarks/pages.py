@@ -9,18 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks import (
-    confidence,
-    judge,
-    like,
-    live,
-    misalignment,
-    paper,
-    pipelines,
-    results,
-    runs,
-    tile_differences,
-)
+from benchmarks import confidence, judge, like, live, misalignment, paper, pipelines, results, runs, tile_differences
 from benchmarks.errors import BenchmarkError
 from benchmarks.results import FOLDER, Record, Run
 from benchmarks.tables import NONE, Table, duration

@@ -17,10 +17,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from tempfile import TemporaryDirectory
-from types import TracebackType
 from typing import Any, Self
 
-from lfgpu.batch.manifest import FAILED
 from lfgpu.batch.work import Job, OutOfMemory, work
 from lfgpu.errors import LfgpuError
 from lfgpu.io.damage import how_to_install
@@ -82,7 +80,8 @@ class Cluster:
         self._scheduler, self._workers, self._devices, self._threads = scheduler, workers, tuple(devices), threads
         self._retries, self._item_timeout = retries, item_timeout
         self._stack = ExitStack()
-        self._client: Any = None
+        self.client: Any = None
+        """The client of Dask."""
         self._cluster: Any = None
         self._complete = time.monotonic()
         """The time when all workers were last alive."""
@@ -121,30 +120,23 @@ class Cluster:
             raise
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         with suppress(Exception):  # lost jobs are not in the manifest, so the next run repeats them
-            self._client.cancel(list(self._running), force=True)
+            self.client.cancel(list(self._running), force=True)
         self._running.clear()
         self._cluster = None
         self._stack.close()
 
     @property
-    def client(self) -> Any:
-        """The client of Dask."""
-        return self._client
-
-    @property
     def dashboard(self) -> str | None:
         """Address of the dashboard of an existing scheduler; a local cluster has none, as others could read it."""
-        return None if self._scheduler is None else self._client.dashboard_link or None
+        return None if self._scheduler is None else self.client.dashboard_link or None
 
     @property
     def size(self) -> int:
         """Number of jobs that can run at the same time: the threads of all workers."""
         with suppress(Exception):
-            return sum(self._client.nthreads().values())
+            return sum(self.client.nthreads().values())
         return 0
 
     def run(
@@ -200,7 +192,7 @@ class Cluster:
             logging.getLogger(name).setLevel(logging.CRITICAL)
         with _ctrl_c_waits():  # while the workers start
             self._cluster = self._stack.enter_context(self._local())
-        self._client = self._stack.enter_context(Client(self._cluster))
+        self.client = self._stack.enter_context(Client(self._cluster))
 
     def _local(self) -> Any:
         """Start a local cluster; if a worker dies meanwhile, perhaps for want of memory, start it anew."""
@@ -238,22 +230,22 @@ class Cluster:
         for name in ("distributed", "distributed.client", "distributed.core"):
             logging.getLogger(name).setLevel(logging.CRITICAL)
         try:
-            self._client = Client(self._scheduler, timeout=_CONNECTING)
+            self.client = Client(self._scheduler, timeout=_CONNECTING)
         except (OSError, TimeoutError, ValueError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise BatchError(
                 f"the scheduler {self._scheduler} does not answer ({reason[:200]}); check the address, and that it is "
                 "running."
             ) from error
-        self._stack.callback(lambda: self._client.close(timeout=5))
+        self._stack.callback(lambda: self.client.close(timeout=5))
 
     def _is_there(self) -> bool:
         """Ask whether the scheduler answers. If it is lost, wait for it to come back."""
-        if self._client.status == "running":
+        if self.client.status == "running":
             return True
         if self._scheduler is None:
             raise BatchError("the local cluster has ended; run the same command again to continue.")
-        if self._client.status == "connecting":
+        if self.client.status == "connecting":
             return False
         since = time.monotonic()
         while time.monotonic() - since < _PATIENCE:
@@ -283,7 +275,7 @@ class Cluster:
             return []
         held: dict[str, list[str]] = {}
         with suppress(Exception):  # the scheduler is lost, which is seen elsewhere
-            held = {worker: [str(key) for key in keys] for worker, keys in self._client.processing().items()}
+            held = {worker: [str(key) for key in keys] for worker, keys in self.client.processing().items()}
         entries = []
         for future in late:
             workers = [worker for worker, keys in held.items() if str(future.key) in keys]
@@ -294,9 +286,9 @@ class Cluster:
                 continue
             task = self._running.pop(future)
             with suppress(Exception):
-                self._client.cancel([future], force=True)
+                self.client.cancel([future], force=True)
             with suppress(Exception):
-                self._client.restart_workers(workers, timeout=_REPLACED, raise_for_error=False)
+                self.client.restart_workers(workers, timeout=_REPLACED, raise_for_error=False)
             task.errors.append(f"it took more than {self._item_timeout:g} s, the time for an item (--item-timeout)")
             entries.append(self._entry(task, f"{task.errors[-1]}.", task.attempts + 1))
             if task.after:
@@ -305,7 +297,7 @@ class Cluster:
 
     def _submit(self, task: _Task) -> None:
         there = {} if task.worker is None else {"workers": [task.worker], "allow_other_workers": True}
-        future = self._client.submit(_on_worker, task.job, self._devices, self._threads, pure=False, retries=0, **there)
+        future = self.client.submit(_on_worker, task.job, self._devices, self._threads, pure=False, retries=0, **there)
         future.add_done_callback(lambda _: self._woken.set())
         task.since = time.monotonic()
         self._running[future] = task
@@ -315,7 +307,7 @@ class Cluster:
         finished = [future for future in ended if future.status == "finished"]
         if len(finished) > 1:
             with suppress(Exception):  # some results were lost
-                gathered = self._client.sync(self._client._gather, finished, callback_timeout=_CONNECTING)
+                gathered = self.client.sync(self.client._gather, finished, callback_timeout=_CONNECTING)
                 return dict(zip(finished, gathered, strict=True))
         return {}
 
@@ -330,7 +322,7 @@ class Cluster:
             except Exception as error:  # the result was lost
                 return self._again(task, f"{type(error).__name__}")
         if future.status != "error":
-            there = self._client.status == "running"
+            there = self.client.status == "running"
             return self._again(task, "its result was lost with its worker" if there else "the scheduler was lost")
         try:
             raised = future.exception(timeout=_CONNECTING)
@@ -358,17 +350,7 @@ class Cluster:
 
     def _entry(self, task: _Task, error: str, attempts: int) -> Entry:
         """Make the manifest entry of an item that failed."""
-        job = task.job
-        return {
-            "item": job.item.name,
-            "input": job.item.source,
-            "status": FAILED,
-            **job.keys,
-            "error": error,
-            "began": time.time(),
-            "seconds": 0.0,
-            "attempts": attempts,
-        }
+        return {**task.job.entry, "error": error, "began": time.time(), "seconds": 0.0, "attempts": attempts}
 
 
 @contextmanager

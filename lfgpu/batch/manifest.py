@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from types import TracebackType
 from typing import IO, Any, Self
 
 from lfgpu.batch.items import LOCK_FILE, MANIFEST_FILE, Item
@@ -162,7 +161,7 @@ class Manifest:
             raise LightFieldError(f"{self._path} cannot be written: {error.strerror or error}.") from error
         return self
 
-    def __exit__(self, *_: type[BaseException] | BaseException | TracebackType | None) -> None:
+    def __exit__(self, *_: object) -> None:
         assert self._file is not None
         assert self._lock is not None
         self._flush()

@@ -14,12 +14,11 @@ from lfgpu.batch.items import ERROR_FILE, PREVIEW_FILE, VIEW_FILE
 from lfgpu.batch.manifest import DONE
 from lfgpu.batch.run import Summary
 from lfgpu.comparison import COLUMNS
-from lfgpu.io.atomic import atomic_write
 from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.reports.facts import date, preset
 from lfgpu.viz.cards import Scale, Tile, scale
 from lfgpu.viz.colours import LOOKS
-from lfgpu.viz.pages import rendered
+from lfgpu.viz.pages import rendered, write_page
 from lfgpu.viz.scales import ERRORS
 
 _UNITS = {name: "%" for name in COLUMNS if name.startswith("BadPix")}
@@ -48,9 +47,7 @@ def write_report(summary: Summary, out: Path, title: str) -> Path:
         rows=[_row(entry) for entry in sorted(entries, key=lambda entry: entry.get("status") == DONE)],
     )
     path = out / REPORT_FILE
-    with atomic_write(path) as temporary:
-        # Names that are no text, which manifests may hold, are written out.
-        temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
+    write_page(path, page)
     return path
 
 
@@ -106,18 +103,11 @@ def facts(summary: Summary) -> list[tuple[str, str]]:
     return lines
 
 
-def mean_scores(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
-    """Average each metric over the items with ground truth; empty if there is none."""
-    scored = [entry["metrics"] for entry in entries if entry.get("metrics")]
-    if not scored:
-        return {}
-    values = {name: [m[key] for m in scored if m.get(key) is not None] for name, key in COLUMNS.items()}
-    return {name: fmean(of) for name, of in values.items() if of}
-
-
 def _means(entries: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, str]]:
-    """Average the scores; returns names, means and units."""
-    return [(name, value, _UNITS.get(name, "")) for name, value in mean_scores(entries).items()]
+    """Average each metric over the items with ground truth; returns names, means and units."""
+    scored = [entry["metrics"] for entry in entries if entry.get("metrics")]
+    values = {name: [m[key] for m in scored if m.get(key) is not None] for name, key in COLUMNS.items()}
+    return [(name, fmean(of), _UNITS.get(name, "")) for name, of in values.items() if of]
 
 
 def _score(name: str, value: float) -> str:

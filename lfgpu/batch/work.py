@@ -7,7 +7,6 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,10 +20,9 @@ from lfgpu.config import Config
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.io.map_formats import REPORT_FILE
-from lfgpu.machine import device_name
 from lfgpu.methods import method_of
 from lfgpu.methods.measured import Measured
-from lfgpu.printable import message, printable
+from lfgpu.printable import message
 
 if TYPE_CHECKING:
     from lfgpu.data import DepthResult, LightField
@@ -70,6 +68,11 @@ class Job:
     first: tuple[Item, ...] = ()  # first frames of its sequence; range and noise are measured on the first readable one
     keys: Mapping[str, str] = field(default_factory=dict)  # hashes of parameters and files, for the manifest
 
+    @property
+    def entry(self) -> dict[str, Any]:
+        """The beginning of its manifest entry, as long as it has not succeeded."""
+        return {"item": self.item.name, "input": self.item.source, "status": FAILED, **self.keys}
+
 
 class OutOfMemory(Exception):  # noqa: N818 - a state, after which a retry may succeed
     """An item did not fit into memory together with everything else that runs."""
@@ -77,8 +80,7 @@ class OutOfMemory(Exception):  # noqa: N818 - a state, after which a retry may s
 
 def work(job: Job, device: str | None = None) -> dict[str, Any]:
     """Do an item on a device; returns its manifest entry, with its errors. OutOfMemory is raised, to try again."""
-    began, start = time.time(), time.perf_counter()
-    entry: dict[str, Any] = {"item": job.item.name, "input": job.item.source, "status": FAILED, **job.keys}
+    began, start, entry = time.time(), time.perf_counter(), job.entry
     try:
         entry |= {**_done(job, device), "status": DONE}
     except MemoryError as error:
@@ -239,10 +241,7 @@ def _write_report(folder: Path, lf: LightField, result: DepthResult, job: Job) -
     """Write the report of an item. It leaves out what the map predicts, which takes longer than the map."""
     from lfgpu.reports.report import Origin, write_report
 
-    settings = job.settings
-    origin = Origin(
-        printable(job.item.source), settings.command, datetime.now().astimezone(), device_name(result.device)
-    )
+    origin = Origin.now(job.item.source, job.settings.command, result.device)
     write_report(folder / REPORT_FILE, lf, result, origin=origin)
 
 

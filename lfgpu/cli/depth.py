@@ -8,16 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from lfgpu._backends import DEFAULT
-from lfgpu.cli.options import (
-    Computing,
-    Deterministic,
-    OutFolder,
-    Parameters,
-    Quiet,
-    ReadingIncomplete,
-    Source,
-    Views,
-)
+from lfgpu.cli.options import Computing, Deterministic, OutFolder, Parameters, Quiet, ReadingIncomplete, Source, Views
 from lfgpu.errors import LightFieldError
 from lfgpu.threads import meanwhile
 
@@ -134,14 +125,10 @@ def _write_report(
     folder: Path, ctx: typer.Context, source: Path, lf: LightField, result: DepthResult, estimation: Estimation
 ) -> tuple[str, str]:
     """Write the report; returns the file as a pair (name, meaning)."""
-    from datetime import datetime
-
     from lfgpu.cli.failures import command_line
-    from lfgpu.machine import device_name
-    from lfgpu.printable import printable
     from lfgpu.reports.report import REPORT_FILE, Origin, write_report
 
-    origin = Origin(printable(str(source)), command_line(ctx), datetime.now().astimezone(), device_name(result.device))
+    origin = Origin.now(source, command_line(ctx), result.device)
     write_report(folder / REPORT_FILE, lf, result, origin=origin, explanation=_explanation(lf, result, estimation))
     return REPORT_FILE, "everything on one page, for any browser"
 

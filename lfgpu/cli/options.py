@@ -52,7 +52,7 @@ class Estimation:
         from lfgpu.pipelines.estimate import estimate_depth
 
         with progress(self.config, quiet=quiet) as on_progress:
-            return estimate_depth(lf, on_progress=on_progress, check_cameras=check_cameras, **self._options)
+            return estimate_depth(lf, on_progress=on_progress, check_cameras=check_cameras, **vars(self))
 
     def run_all(self, lf: LightField, *, quiet: bool) -> ViewsResult:
         """Estimate the maps of all views, with a progress display."""
@@ -60,12 +60,8 @@ class Estimation:
         from lfgpu.pipelines.all_views import estimate_all_views
 
         with progress(self.config, quiet=quiet) as on_progress:
-            options = {name: value for name, value in self._options.items() if name != "max_memory"}
+            options = {name: value for name, value in vars(self).items() if name != "max_memory"}
             return estimate_all_views(lf, on_progress=on_progress, **options)
-
-    @property
-    def _options(self) -> dict[str, Any]:
-        return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
 Source = Annotated[Path, typer.Argument(metavar="INPUT", help="Light field: usually a folder of views.")]
@@ -178,7 +174,7 @@ class Reading:
 
     def options(self) -> dict[str, Any]:
         """Return the options that were given, as keywords of `lfgpu.read`; LightFieldError if --grid is no pair."""
-        found: dict[str, Any] = {field.name: getattr(self, field.name) for field in fields(self)}
+        found = dict(vars(self))
         found |= {"format": found.pop("format_name"), "pattern": found.pop("names")}
         found["grid"] = values.parse_size("--grid", self.grid, "ROWSxCOLUMNS such as 9x9")
         return {name: value for name, value in found.items() if _is_given(value)}

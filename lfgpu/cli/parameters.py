@@ -50,13 +50,11 @@ def parameters(preset: Preset = "surest") -> None:
 
 def rows(config: Config) -> list[Row]:
     """Return all parameters of a configuration, in order."""
-    from lfgpu.config import parameters as fields_of
+    from lfgpu.config import parameters as fields_of, value_of
 
     found = []
     for name, field in fields_of(config):
-        section, parameter = name.split(".")
-        value = getattr(getattr(config, section), parameter)
-        about = field.metadata
+        value, about = value_of(config, name), field.metadata
         text = value if isinstance(value, str) else f"{value:g}"
         found.append(Row(name, text, allowed(field), about["doc"], about["symbol"]))
     return found

@@ -179,8 +179,6 @@ def compare_batches(folders: list[Path], out: Path | None) -> None:
     for name in mixed:
         remark(console, f"The items of {name} have different parameters; run the batch again to bring them up to date.")
     if out is not None:
-        from lfgpu.io import atomic_folder
-
         with atomic_folder(out) as folder:
             _write_tables(folder, scored)
         show_outputs(console, out, [(name, what) for name, what in _FILES.items() if name.startswith("table")])
@@ -232,7 +230,6 @@ def _write_tables(folder: Path, scored: Table) -> None:
 
 
 def _scene(path: Path, methods: list[Path], border: int, *, alone: bool) -> Scene:
-
     lf = read(path, allow_missing=True)
     if lf.truth is None:
         raise LightFieldError(
@@ -258,9 +255,8 @@ def _result(method: Path, scene: str, *, alone: bool) -> Path | None:
     """Return the file with a method's result on a scene; None if there is none."""
     single = [method / f"{scene}{suffix}" for entry in MAP_FORMATS for suffix in entry.suffixes]
     found = result_in(method / scene) or next((file for file in single if holds_map(file)), None)
-    return found or (
-        result_in(method) if alone else None
-    )  # with several scenes, one file would be scored on each of them
+    # With several scenes, one file would be scored on each of them.
+    return found or (result_in(method) if alone else None)
 
 
 def _map(file: Path, lf: LightField) -> NDArray[np.float32]:

@@ -132,14 +132,9 @@ def export_pipeline(
             plan = method.live_plan(
                 lf.layout.subset(used), measured, place, streaming=streaming, prior=prior or TemporalPrior()
             )
-
-            def whole(work: Callable[[Array], None]) -> None:
-                front.work()
-                work(front.views)
-
-            cold = partial(whole, plan.levels[-1][1])
-            warm = None if prior is None else partial(whole, plan.warm_levels[-1][1])
-            for work in (cold, *([warm] if warm is not None else [])):
+            cold = partial(front.feed, plan.levels[-1][1])
+            warm = None if prior is None else partial(front.feed, plan.warm_levels[-1][1])
+            for work in filter(None, (cold, warm)):
                 work()
         with atomic_folder(out) as folder:
             save = partial(_save, plan, front.frame, recording, folder, device)

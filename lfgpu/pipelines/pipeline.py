@@ -278,7 +278,10 @@ class DepthPipeline:
         LightFieldError
             If there was no run, if the views showed too little, or if they came from a GPU and were not finite.
         """
-        return self._checked_disparity()
+        self._check_whole()
+        disparity, trust = self.kernels.read(self._plan.disparity, self._plan.trust)
+        self._plan.check(self._lf.name, trust)
+        return disparity.astype(np.float32, copy=False)
 
     def estimate(self, *, on_progress: Progress | None = None) -> DepthResult:
         """Run all stages and return the result; waits for the device.
@@ -309,11 +312,7 @@ class DepthPipeline:
 
     def _follow_at_once(self) -> None:
         """Run all stages, and wait for the last only; again those after the first one, if that takes a wider range."""
-        work = self._captured() or self.work
-        with self._timed("run"):
-            with self._device.asking():
-                work()
-            self.kernels.number(self._waited_for)
+        self._done("run", self._captured() or self.work)
         first, measured = self.method.MATCHED, self.measured
         if first is not None and self._runs == 0:
             self._widen(first, None)
@@ -387,20 +386,21 @@ class DepthPipeline:
 
     def _do(self, stage: str, on_progress: Progress | None) -> None:
         """Run one stage; waits for the device."""
-        work = self.stages()[stage]
-        with self._timed(stage):
-            if on_progress is not None:
-                on_progress(stage, 0, 0.0)
-            with self._device.asking():
-                work(None if on_progress is None else partial(on_progress, stage))
-            self.kernels.number(self._waited_for)
+        if on_progress is not None:
+            on_progress(stage, 0, 0.0)
+        told = None if on_progress is None else partial(on_progress, stage)
+        self._done(stage, partial(self.stages()[stage], told))
 
     def _rectify(self) -> None:
         if self._is_raw:
-            with self._timed("rectify"):
-                with self._device.asking():
-                    self._front.work()
-                self.kernels.number(self._waited_for)
+            self._done("rectify", self._front.work)
+
+    def _done(self, part: str, work: Callable[[], object]) -> None:
+        """Ask for some work, wait until the device has done it, and time it as a part of the estimate."""
+        with self._timed(part):
+            with self._device.asking():
+                work()
+            self.kernels.number(self._waited_for)
 
     def _widen(self, stage: str, on_progress: Progress | None) -> None:
         """Repeat the first stage within a wider range if surfaces lie at the ends of the found one; once."""
@@ -456,12 +456,6 @@ class DepthPipeline:
             raise LightFieldError(f"{self._lf.name}: {state}; call run() or estimate() first.")
         if self._unseen and not self._plan.is_finite():
             raise LightFieldError(_NOT_FINITE)
-
-    def _checked_disparity(self) -> Float32Array:
-        self._check_whole()
-        disparity, trust = self.kernels.read(self._plan.disparity, self._plan.trust)
-        self._plan.check(self._lf.name, trust)
-        return disparity.astype(np.float32, copy=False)
 
     @contextmanager
     def _timed(self, stage: str) -> Iterator[None]:

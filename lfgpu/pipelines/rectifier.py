@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -163,6 +163,11 @@ class DeviceViews:
             self._device.kernels.resample(
                 self.frame, self._table, self._tones, white=1.0 / self._scale, views_out=self.views
             )
+
+    def feed(self, work: Callable[[Array], None]) -> None:
+        """Start some work on the views of the current frame; may be captured."""
+        self.work()
+        work(self.views)
 
     def set_tones(self, tones: Float64Array) -> None:
         """Use other tones [n, 3, c] of all cameras from the next work on, also if it was captured."""

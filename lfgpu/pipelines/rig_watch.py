@@ -60,43 +60,35 @@ class RigWatch:
                 f"every must be a number of seconds > 0 and rate a share from 0 to 1, not {every} and {rate}."
             )
         self._stream, self._rate, self._on_finding = stream, rate, on_finding
-        self._findings: tuple[str, ...] = ()
+        self.findings: tuple[str, ...] = ()
+        """Known faults of the places and directions of the cameras, one sentence each; empty if there is none."""
+        self.looks = 0
+        """Number of frames that were looked at."""
         self._suspected = False
-        self._looks = 0
         self._turn, self._over = threading.Lock(), threading.Event()
         self._thread: threading.Thread | None = None
         if every is not None:
             self._thread = threading.Thread(target=self._watch, args=(every,), name="lfgpu-watch", daemon=True)
             self._thread.start()
 
-    @property
-    def findings(self) -> tuple[str, ...]:
-        """Known faults of the places and directions of the cameras, one sentence each; empty if there is none."""
-        return self._findings
-
-    @property
-    def looks(self) -> int:
-        """Number of frames that were looked at."""
-        return self._looks
-
     def look(self, *, timeout: float | None = _LONGEST_WAIT) -> tuple[str, ...]:
         """Look at the next frame now; waits for it `timeout` seconds at most (None: no limit). Returns `findings`."""
         with self._turn:
             shown = self._stream.snapshot(timeout=timeout)
             if shown is None:
-                return self._findings
+                return self.findings
             lf, result = shown
             try:
                 found = look(lf, result.numpy(), open_device(DEFAULT, self._stream.device), budget="quick")
             except LfgpuError:  # the frame failed, which its own result says
-                return self._findings
+                return self.findings
             if found is None or found.points < FEWEST:  # too little texture to tell
-                return self._findings
-            self._looks += 1
+                return self.findings
+            self.looks += 1
             self._judge(found)
             if self._stream.rectifier is not None and self._rate > 0:
                 self._equalise(found)
-            return self._findings
+            return self.findings
 
     def close(self) -> None:
         """End the thread; the stream goes on."""
@@ -119,8 +111,8 @@ class RigWatch:
     def _judge(self, found: Look) -> None:
         moved = found.moved if self._suspected else ()
         self._suspected = bool(found.moved)
-        new = bool(moved) and not self._findings
-        self._findings = moved
+        new = bool(moved) and not self.findings
+        self.findings = moved
         if new and self._on_finding is not None:
             with suppress(Exception):  # the watch must not end for what others do with its findings
                 self._on_finding(moved)

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import atexit
-import logging
 import os
-import queue
 import threading
 import weakref
-from collections import deque
 from collections.abc import Sequence
-from concurrent.futures import Future
-from contextlib import suppress
-from time import perf_counter
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
@@ -27,25 +21,21 @@ from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured
 from lfgpu.methods.temporal_prior import TemporalPrior
-from lfgpu.pipelines import stream_stats
-from lfgpu.pipelines.inbox import Inbox, most_waiting
+from lfgpu.pipelines.inbox import most_waiting
 from lfgpu.pipelines.intake import Intake
 from lfgpu.pipelines.pipeline import measured_on
 from lfgpu.pipelines.rectifier import Rectifier
-from lfgpu.pipelines.stream_engine import Engine, Level, fault
-from lfgpu.pipelines.stream_result import FrameDroppedError, OnResult, StreamResult
-from lfgpu.pipelines.watches import FirstErrors, RangeWatch, StampWatch, checked_stamps
+from lfgpu.pipelines.stream_engine import Engine
+from lfgpu.pipelines.stream_result import OnResult, StreamResult
+from lfgpu.pipelines.stream_work import Snapshot, StreamWork
+from lfgpu.pipelines.watches import RangeWatch, checked_stamps
 
 _USUAL_NOISE = 0.004  # intensity: the noise of cameras of which nothing is known
 CUT = 0.5
 """Share of the samples whose change makes a frame start without the previous map."""
-_LOG = logging.getLogger(__name__)
-
-Snapshot: TypeAlias = tuple[LightField, StreamResult]
-"""The views of a frame, and its result, which may be pending."""
 
 
-class DepthStream:
+class DepthStream(StreamWork):
     """Stream of disparity maps for frames from the same cameras, in real time.
 
         with lfgpu.DepthStream(lf, disparity_range=(-2, 2)) as stream:
@@ -139,20 +129,18 @@ class DepthStream:
         if streaming is None:
             raise BackendError(f"backend {backend!r} has no streams; use backend {DEFAULT!r}.")
         place, pictures = open_device(backend, device), lf
-        self.device = place.name
         lf = pictures if rectifier is None else rectifier.rectified(pictures, place)
         self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
-        self._used, self._rectifier = method.used_views(lf.offsets), rectifier
-        self._intake = Intake(lf, self._used, self.device)
-
+        self.rectifier = rectifier
+        """The rectifier of frames; None if they are views already."""
+        self._notes: tuple[str, ...] = ()  # about the range that was found
         with place.asking():
-            self._notes: tuple[str, ...] = ()  # about the range that was found
             if measured is None:
                 measured, self._notes = measured_on(
-                    lf, config=self.config, disparity_range=disparity_range, backend=backend, device=self.device
+                    lf, config=self.config, disparity_range=disparity_range, backend=backend, device=place.name
                 )
             self.measured = measured
-            self._engine = Engine(
+            engine = Engine(
                 lf,
                 pictures,
                 rectifier,
@@ -164,34 +152,22 @@ class DepthStream:
                 budget_ms=budget_ms,
                 results=most + 4,
             )
-        self._engine.prepare()
-        self._cut = cut
-        self._fresh = True  # True if there is no previous map to start from
-        self.on_result, self._end_on_error = on_result, end_on_error
+        engine.prepare()
+        self._intake = Intake(lf, engine.used, place.name)
+        self._index, self._numbering, self._process = 0, threading.Lock(), os.getpid()
+        self._buffers: int | None = None  # how many there were when the memory was returned
         # A range that was found was found in these views; a stream that was made without a frame has none.
-        first = self._engine.like if given and np.any(self._engine.like.views) else None
-        self._watch = RangeWatch(self.bounds, first)
-        self._stamps = StampWatch(tolerance, self._used)
-        self._errors = FirstErrors(_LOG)
-        self._process = os.getpid()
-
-        self._counters = stream_stats.Counters()
-        self._index, self._numbering = 0, threading.Lock()
-        self._wishes: deque[Future[Snapshot | None]] = deque()  # for snapshots
-        self._has_ended = False
-        self._returned, self._buffers = False, 0
-        slots = [self._engine.transport.slot() for _ in range(most + 2)]
-        self._inbox: Inbox[StreamResult, Any] = Inbox(policy, most, slots, self._drop)
-        self._under_way: queue.SimpleQueue[tuple[StreamResult, Any, Level] | None] = queue.SimpleQueue()
-        self._threads = [
-            threading.Thread(target=self._serve, name="lfgpu-solve", daemon=True),
-            threading.Thread(target=self._deliver, name="lfgpu-deliver", daemon=True),
-            threading.Thread(
-                target=self._watch.run, args=(self.snapshot, self._errors), name="lfgpu-range", daemon=True
-            ),
-        ]
-        for thread in self._threads:
-            thread.start()
+        first = engine.like if given and np.any(engine.like.views) else None
+        super().__init__(
+            engine,
+            policy=policy,
+            waiting=most,
+            cut=cut,
+            on_result=on_result,
+            end_on_error=end_on_error,
+            watch=RangeWatch(self.bounds, first),
+            tolerance=tolerance,
+        )
         _OPEN.add(self)
 
     @classmethod
@@ -289,26 +265,22 @@ class DepthStream:
             result = StreamResult(self._index, tag, np.asarray(there))
             self._index += 1
             self._counters.add("frames_pushed")
+        slot = None
         try:
             result.valid = self._intake.checked_valid(there)
             result.stamps = None if stamps is None else checked_stamps(stamps, result.valid)
             checked, on_gpu = self._intake.checked(frame)
             slot = self._inbox.slot()
-        except LightFieldError as error:
-            self._fail(result, error)
-            return result
-        except LfgpuError:  # closed meanwhile
-            self._drop(result)
-            raise
-        except Exception as error:  # what is asked of the frame's library may raise anything
-            self._fail(result, _cannot_be_taken(error))
-            return result
-        try:
             self._intake.fill(slot, checked, result.valid, self._engine.transport, on_gpu=on_gpu)
         except Exception as error:  # the library of the frame may raise anything; only this frame fails
-            self._inbox.give_back(slot)
-            known = error if isinstance(error, LightFieldError) else _cannot_be_taken(error)
-            self._fail(result, known)
+            if slot is not None:
+                self._inbox.give_back(slot)
+            elif isinstance(error, LfgpuError) and not isinstance(error, LightFieldError):  # closed meanwhile
+                self._drop(result)
+                raise
+            if not isinstance(error, LightFieldError):
+                error = LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
+            self._fail(result, error)
             return result
         self._inbox.put(result, slot)
         return result
@@ -328,20 +300,7 @@ class DepthStream:
         A light field of the views that are used, and the result, which may be pending; None if no frame came in time,
         or the stream was closed.
         """
-        wish: Future[Snapshot | None] = Future()
-        self._wishes.append(wish)
-        if self._has_ended:
-            self._answer(None)
-        with suppress(TimeoutError):
-            return wish.result(timeout)
-        with suppress(ValueError):  # it was answered a moment too late
-            self._wishes.remove(wish)
-        return None
-
-    @property
-    def rectifier(self) -> Rectifier | None:
-        """The rectifier of frames; None if they are views already."""
-        return self._rectifier
+        return self._next_shown(timeout)
 
     @property
     def used_views(self) -> tuple[int, ...]:
@@ -353,12 +312,12 @@ class DepthStream:
 
         LightFieldError without a rectifier, or if the shape is another one.
         """
-        if self._rectifier is None:
+        if self.rectifier is None:
             raise LightFieldError("the stream has no rectifier, so it cannot equalise its cameras; give it one.")
         with self._numbering:  # `close` returns the memory
-            self._rectifier = self._rectifier.with_tones(tones)
-            if not self._returned:
-                self._engine.set_tones(self._rectifier.tones)
+            self.rectifier = self.rectifier.with_tones(tones)
+            if self._buffers is None:
+                self._engine.set_tones(self.rectifier.tones)
 
     def restart(self) -> None:
         """Forget the previous map: the next frame starts without it."""
@@ -382,7 +341,7 @@ class DepthStream:
             **self._counters.stats(),
             "warnings": len(self.warnings),
             "frames_waiting": len(self._inbox),
-            "result_buffers": self._buffers if self._returned else self._engine.transport.made,
+            "result_buffers": self._engine.transport.made if self._buffers is None else self._buffers,
         }
 
     def close(self, *, finish: bool = True) -> None:
@@ -393,17 +352,13 @@ class DepthStream:
         """
         if os.getpid() != self._process:  # a child that was forked has neither its threads nor its locks
             return
-        self._inbox.close(finish=finish)
-        if threading.current_thread() in self._threads:
+        if not self._end(finish=finish):
             return
-        self._watch.close()
-        for thread in self._threads:
-            thread.join()
         self._intake.close()
         _OPEN.discard(self)
         with self._numbering:
-            if not self._returned:
-                self._returned, self._buffers = True, self._engine.transport.made
+            if self._buffers is None:
+                self._buffers = self._engine.transport.made
                 self._inbox.forget_slots()
                 del self._engine
 
@@ -412,118 +367,6 @@ class DepthStream:
 
     def __exit__(self, kind: object, *_: object) -> None:
         self.close(finish=kind is None)
-
-    # --- the work ---
-
-    def _serve(self) -> None:
-        """Start work on the device, frame by frame; the loop of a thread."""
-        engine = self._engine
-        engine.transport.enter()
-        while (taken := self._inbox.get()) is not None:
-            result, slot = taken
-            read = False
-            try:
-                changed, unscaled = engine.transport.bring(slot)
-                self._inbox.give_back(slot, filled=True)
-                read = True
-                if unscaled > 0:
-                    self._fresh = True
-                    self._fail(result, LightFieldError("views have values far outside [0, 1]; scale float views."))
-                    continue
-                result.cut = not self._fresh and engine.has_prior and changed > self._cut
-                result.cold = self._fresh or result.cut or not engine.has_prior
-                level = engine.level(cold=result.cold)
-                result.steps, self._fresh = level.steps, False
-                maps = engine.solve(level, result.valid[self._used])
-                if self._wishes:
-                    self._answer((engine.shown(result.valid[self._used]), result))
-            except Exception as error:  # if the device fails, the result must not stay pending
-                if not read:
-                    self._inbox.give_back(slot, filled=True)
-                self._fresh = True
-                engine.forget_mask()
-                self._fail(result, self._failed(error))
-                continue
-            self._under_way.put((result, maps, level))
-        self._under_way.put(None)
-        self._has_ended = True
-        self._answer(None)
-
-    def _answer(self, shown: Snapshot | None) -> None:
-        """Give all who wait for a snapshot this one, or none."""
-        with suppress(IndexError):  # until nobody waits; some may give up meanwhile
-            while True:
-                self._wishes.popleft().set_result(shown)
-
-    def _deliver(self) -> None:
-        """Wait for the device, frame by frame; the loop of a thread."""
-        transport = self._engine.transport
-        transport.enter()
-        while (item := self._under_way.get()) is not None:
-            result, maps, level = item
-            try:
-                work, trust, moved = transport.wait(maps)
-            except Exception as error:
-                self._fresh = True
-                self._fail(result, self._failed(error))
-                continue
-            level.took(work)
-            if (problem := fault(trust, moved)) is not None:
-                self._fresh = True
-                transport.give(maps)
-                self._fail(result, LightFieldError(f"frame {result.index}: {problem}"))
-                continue
-            self._complete(result, maps, work)
-            del result, maps, item  # frees the memory if nobody holds the result
-
-    def _complete(self, result: StreamResult, maps: Any, work: float) -> None:
-        result.latency, result.work = perf_counter() - result._pushed, work
-        apart, warned = self._stamps.look(result.index, result.stamps)
-        extra = {
-            "frames_cold": result.cold,
-            "scene_cuts": result.cut,
-            "frames_with_missing_views": not result.valid.all(),
-            "frames_over_budget": self._engine.is_over_budget(work),
-            "frames_out_of_step": apart,
-        }
-        self._counters.done(result.latency, work, *(name for name, counts in extra.items() if counts))
-        result._finish(self._engine.transport.lease(maps))
-        callback = self.on_result
-        if callback is not None and not (self._end_on_error and self._inbox.reason):
-            try:
-                callback(result)
-            except BaseException as error:  # others' mistakes must not end the thread, sys.exit() included
-                self._counters.add("callback_errors")
-                self._errors.log(f"on_result failed with frame {result.index}", error)
-                if self._end_on_error:
-                    said = f"{type(error).__name__}: {error}".rstrip(": ")
-                    self._inbox.close(finish=False, reason=f"on_result failed ({said})")
-        if self._watch.look(result._maps().numpy(0), is_new=result.cut):
-            self._counters.add("frames_beyond_range")
-        for sentence in warned:
-            _LOG.warning(sentence)
-
-    def _failed(self, error: Exception) -> LfgpuError:
-        """Make the sentence about a failure of the device."""
-        self._errors.log("the device failed", error)
-        remedy = "" if self.device == "cpu" else "; if all frames fail from now on, start the program again"
-        return LfgpuError(f"the device failed ({' '.join(str(error).split()).rstrip('.')}){remedy}.")
-
-    def _fail(self, result: StreamResult, error: LfgpuError) -> None:
-        self._counters.add("frames_failed")
-        result._fail(error)
-
-    def _drop(self, result: StreamResult) -> None:
-        self._counters.add("frames_dropped")
-        result._fail(
-            FrameDroppedError(
-                f"frame {result.index} was dropped, because frames came faster than maps or the stream was closed."
-            )
-        )
-
-
-def _cannot_be_taken(error: Exception) -> LightFieldError:
-    return LightFieldError(f"views cannot be read: {' '.join(str(error).split())}")
 
 
 _OPEN: weakref.WeakSet[DepthStream] = weakref.WeakSet()

@@ -60,11 +60,11 @@ class Engine:
         budget_ms: float | None,
         results: int,
     ) -> None:
-        used = method.used_views(lf.offsets)
-        self.like = lf if len(used) == len(lf.views) else lf.subset(used)
+        self.used, self.device = list(method.used_views(lf.offsets)), device.name
+        self.like = lf if len(self.used) == len(lf.views) else lf.subset(self.used)
         """The first frame, with the views that are used."""
         self.has_prior, self._device, self._budget = prior is not None, device, budget_ms
-        self._front = DeviceViews(rectifier, pictures, device, used=used)
+        self._front = DeviceViews(rectifier, pictures, device, used=self.used)
         self._plan = method.live_plan(
             self.like.layout, measured, device, streaming=streaming, prior=prior or TemporalPrior()
         )
@@ -126,7 +126,7 @@ class Engine:
 
     def _prepared(self, steps: int, work: Callable[[Array], None]) -> Level:
         """Capture a level of work and, with a budget, time it."""
-        level = Level(steps, partial(_rectified, self._front, work))
+        level = Level(steps, partial(self._front.feed, work))
         with self._device.asking():
             level.work()
         level.work = self.transport.captured(level.work)
@@ -153,9 +153,3 @@ def fault(trust: float, moved: float) -> str | None:
     if not trust > 0:
         return "no pixel matches in other views: the views have no texture, or all pixels are masked."
     return None
-
-
-def _rectified(front: DeviceViews, work: Callable[[Array], None]) -> None:
-    """Work on the views of a device; raw pictures are rectified first."""
-    front.work()
-    work(front.views)

@@ -32,9 +32,7 @@ class Counters:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts = dict.fromkeys(_COUNTED, 0)
-        self._latencies: deque[float] = deque(maxlen=_KEPT)
-        self._work: deque[float] = deque(maxlen=_KEPT)
-        self._ends: deque[float] = deque(maxlen=_KEPT)
+        self._times: deque[tuple[float, float, float]] = deque(maxlen=_KEPT)  # latency, work and end of each result
 
     def add(self, *names: str) -> None:
         """Increment counters."""
@@ -46,20 +44,18 @@ class Counters:
         """Record a result: its latency since `push` and its device time, in seconds, and further counters."""
         self.add("frames_done", *names)
         with self._lock:
-            self._latencies.append(latency)
-            self._work.append(work)
-            self._ends.append(perf_counter())
+            self._times.append((latency, work, perf_counter()))
 
     def stats(self) -> dict[str, Any]:
         """Return all statistics as plain numbers."""
         with self._lock:
-            counts, ends = dict(self._counts), list(self._ends)
-            latencies, work = np.array(self._latencies), np.array(self._work)
+            counts, times = dict(self._counts), list(self._times)
+        latencies, work, ends = np.reshape(times, (-1, 3)).T
         in_work = counts["frames_pushed"] - sum(counts[f"frames_{end}"] for end in ("done", "dropped", "failed"))
         return {
             **counts,
             "frames_in_work": in_work,
-            "frames_per_second": _rate(ends),
+            "frames_per_second": _rate(ends.tolist()),
             **_percentiles("latency", latencies),
             **_percentiles("work", work),
         }

@@ -147,28 +147,29 @@ class StampWatch:
         self.warnings: tuple[str, ...] = ()
         """The sentence that was said, or nothing."""
 
-    def look(self, index: int, stamps: Float64Array | None) -> tuple[bool, tuple[str, ...]]:
-        """Compare the stamps of a frame: True if they differ by too much, and the sentences that are new."""
+    def look(self, index: int, stamps: Float64Array | None) -> bool:
+        """Compare the stamps of a frame: True if they differ by too much. The sentence is logged, too."""
         if stamps is None or self._tolerance is None:
-            return False, ()
+            return False
         used = stamps[self._used]
         spread = float(np.nanmax(used) - np.nanmin(used))
         if spread <= self._tolerance or self.warnings:
-            return spread > self._tolerance, ()
+            return spread > self._tolerance
         farthest = self._used[int(np.nanargmax(np.abs(used - np.nanmedian(used))))]
         self.warnings = (
             f"The pictures of frame {index} were taken within {1000 * spread:.3g} ms, and {1000 * self._tolerance:.3g} "
             f"are allowed; view {farthest} is farthest from the others: what moves has a wrong disparity. Trigger the "
             "cameras together, or group their pictures with FrameGrouper.",
         )
-        return True, self.warnings
+        _LOG.warning(self.warnings[0])
+        return True
 
 
 class FirstErrors:
     """Log of exceptions with their traceback; of those from one line of code, which all frames may raise, the first."""
 
-    def __init__(self, log: logging.Logger) -> None:
-        self._log, self._known = log, set[tuple[object, ...]]()
+    def __init__(self) -> None:
+        self._known = set[tuple[object, ...]]()
 
     def log(self, what: str, error: BaseException) -> None:
         """Log an exception unless one of its kind from the same line was; `what` names the failure."""
@@ -178,4 +179,4 @@ class FirstErrors:
         kind = type(error), place and (place.tb_frame.f_code.co_filename, place.tb_lineno)
         if kind not in self._known:
             self._known.add(kind)
-            self._log.error("%s; the next ones like this are only counted", what, exc_info=error)
+            _LOG.error("%s; the next ones like this are only counted", what, exc_info=error)

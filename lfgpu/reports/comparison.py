@@ -6,9 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from lfgpu.comparison import COLUMNS, Scene, Table, error_map
-from lfgpu.io import atomic_write
 from lfgpu.viz.cards import Card, limits_of, map_card, view_card
-from lfgpu.viz.pages import rendered
+from lfgpu.viz.pages import rendered, write_page
 from lfgpu.viz.panels import rgb
 
 _MOST = 120_000  # pixels of a picture: there are many
@@ -26,8 +25,7 @@ def write_comparison(path: Path, scenes: Sequence[Scene], scored: Table) -> None
         border=scenes[0].border,
         scenes={scene.name: list(_cards(scene, scored.methods)) for scene in scenes},
     )
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
+    write_page(path, page)
 
 
 def _cards(scene: Scene, methods: Sequence[str]) -> Iterator[Card]:

@@ -10,7 +10,7 @@ from lfgpu.cameras import Explanation
 from lfgpu.data import DepthResult, DisparityMap, LightField, ViewsResult
 from lfgpu.reports import facts
 from lfgpu.reports.report import judged
-from lfgpu.viz.cards import Card, drawn_card, map_card, view_card
+from lfgpu.viz.cards import Card, drawn_card, map_card, trust_cards, view_card
 from lfgpu.viz.pages import rendered
 from lfgpu.viz.panels import rgb
 
@@ -65,13 +65,7 @@ def _result(result: DepthResult) -> Rows:
 
 
 def _cards(map_: DisparityMap) -> list[Card]:
-    known = np.isfinite(map_.disparity)
-    cards = [map_card("Disparity", map_.disparity, "disparity")]
-    if map_.confidence is not None:
-        cards.append(map_card("Confidence", np.where(known, map_.confidence, np.float32(np.nan)), "confidence"))
-    if map_.uncertainty is not None:
-        cards.append(map_card("Uncertainty", map_.uncertainty, "uncertainty"))
-    return cards
+    return [map_card("Disparity", map_.disparity, "disparity"), *trust_cards(map_)]
 
 
 def _facts(map_: DisparityMap) -> Rows:

@@ -19,13 +19,15 @@ from lfgpu.config import parameters, value_of
 from lfgpu.data import DepthResult, LightField
 from lfgpu.data.summary import UNIT, pixels, view_at
 from lfgpu.errors import LightFieldError
-from lfgpu.io import REPORT_FILE as REPORT_FILE, atomic_write, check_writable
+from lfgpu.io import REPORT_FILE as REPORT_FILE, check_writable
+from lfgpu.machine import device_name
 from lfgpu.methods import method_of, nearest_preset
 from lfgpu.metrics import BORDER, Metrics, evaluate, reliability, sparsification
+from lfgpu.printable import printable
 from lfgpu.reports import charts, facts
 from lfgpu.reports.epis import Point, epi_cards, find_points
-from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, view_card
-from lfgpu.viz.pages import rendered
+from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, trust_cards, view_card
+from lfgpu.viz.pages import rendered, write_page
 from lfgpu.viz.panels import rgb
 
 if TYPE_CHECKING:
@@ -46,6 +48,11 @@ class Origin:
     command: str = ""  # the command line
     written: datetime | None = None  # the date of the report
     product: str | None = None  # product name of the device that computed the result
+
+    @classmethod
+    def now(cls, source: object, command: str, device: str) -> Origin:
+        """Return the origin of a result that a device has just computed, by a command."""
+        return cls(printable(str(source)), command, datetime.now().astimezone(), device_name(device))
 
 
 def write_report(
@@ -83,9 +90,7 @@ def write_report(
     >>> lfgpu.write_report("report.html", lf, result)
     """
     check_writable(path, folder=False)
-    page = html(lf, result, origin=origin, explanation=explanation)
-    with atomic_write(path) as temporary:
-        temporary.write_text(page, encoding="utf-8", errors="backslashreplace")
+    write_page(path, html(lf, result, origin=origin, explanation=explanation))
 
 
 def html(
@@ -184,7 +189,6 @@ def _span(values: NDArray[Any]) -> str:
 def _maps(lf: LightField, result: DepthResult, points: list[Point]) -> list[Card]:
     truth = lf.reference_truth()
     limits = limits_of("disparity", result.disparity if truth is None else truth.disparity)
-    known = np.isfinite(result.disparity)
     height, width = lf.size
     marks = tuple(cross_hair(p.x + 0.5, p.y + 0.5, (width, height), p.letter) for p in points)
     view = rgb(lf.views[lf.reference_index], lf.scale)
@@ -195,9 +199,7 @@ def _maps(lf: LightField, result: DepthResult, points: list[Point]) -> list[Card
     if truth is not None:
         found += [map_card("Ground truth", truth.disparity, "disparity", limits=limits)]
         found += [map_card("Error", result.disparity - truth.scored, "error")]
-    found.append(map_card("Confidence", np.where(known, result.confidence, np.float32(np.nan)), "confidence"))
-    if result.uncertainty is not None:
-        found.append(map_card("Uncertainty", result.uncertainty, "uncertainty"))
+    found += trust_cards(result.map)
     if result.depth is not None:
         found.append(map_card("Depth", np.where(np.isfinite(result.depth), result.depth, np.float32(np.nan)), "depth"))
     return found

@@ -91,9 +91,8 @@ class Stage:
         """Place a plane from T = `far` at the share `horizon` of the half height to `near` at the lower edge."""
         top = horizon * self.half[1]
         grade = (near - far) / (self.reach[1] - top)
-        grade = min(
-            grade, 0.5 / max(self.slope[1], 1e-9)
-        )  # at 1 / slope the plane would be parallel to the rays of a view
+        # At 1 / slope the plane would be parallel to the rays of a view.
+        grade = min(grade, 0.5 / max(self.slope[1], 1e-9))
         return Wall(np.array([0.0, top, far]), _plane_edges((0.0, grade)))
 
 

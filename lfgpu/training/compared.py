@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -95,11 +96,7 @@ class Windows(Comparison):
         def show(network: torch.nn.Module) -> None:
             for number in range(SHOWN_FIRST):
                 batch = generator.draw(number, scenes)
-                first, steps, count = disparities_for(batch, rng, NETWORK_MOST)
-                estimate(
-                    network, batch.views, batch.reference, batch.offsets, batch.starts,
-                    margin=batch.margin, first=first, steps=steps, count=count,
-                )  # fmt: skip
+                estimate(network, batch, *disparities_for(batch, rng, NETWORK_MOST))
 
         unfold(weights_of(""), self._network, show)
 
@@ -129,11 +126,9 @@ class Windows(Comparison):
         self._disturb(float(rng.choice(_DISTURBED)), int(rng.integers(1 << 30)))
         kind = batch.truth.device.type
         with torch.no_grad(), torch.autocast(kind, dtype=torch.float16, enabled=kind == "cuda"):
-            logits = estimate(
-                self._disturbed, batch.views[:, torch.tensor(near, device=first.device)], batch.reference,
-                batch.offsets[near], starts, margin=batch.margin, first=first, steps=steps, count=count,
-            )  # fmt: skip
-            return peak(logits, first, steps)
+            views = batch.views[:, torch.tensor(near, device=first.device)]
+            some = replace(batch, views=views, offsets=batch.offsets[near], starts=starts)
+            return peak(estimate(self._disturbed, some, first, steps, count), first, steps)
 
     def _disturb(self, deviation: float, seed: int) -> None:
         """Multiply the weights of convolutions by random factors."""

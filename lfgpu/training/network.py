@@ -9,11 +9,14 @@ Disparities are in pixels of the farthest view.
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F  # noqa: N812 - its usual name
 from torch import Tensor, nn
 
-from lfgpu.contract import COMPARED, DECISIONS, Float64Array
+from lfgpu.contract import COMPARED, DECISIONS
+from lfgpu.training.generator import Batch
 from lfgpu.training.sectors import CHANNELS, sector_costs
 
 FOLD = 2
@@ -156,26 +159,29 @@ def certainty(logits: Tensor) -> tuple[Tensor, Tensor]:
     return (near.logsumexp(1) - logits.logsumexp(1)).exp(), variance.sqrt()
 
 
-def estimate(
-    network: Network,
-    views: Tensor,
-    reference: Tensor,
-    offsets: Float64Array,
-    starts: list[int],
-    *,
-    margin: int,
-    first: Tensor,
-    steps: Tensor,
-    count: int,
-) -> Tensor:
-    """Give logits float32 [b, l, y, x] to light fields at the disparities first [b, y, x] + l steps [b], l < `count`.
-
-    `views` and `reference` are as in `Batch`.
-    """
-    scale = brightness(reference)[:, None, None, None]
+def estimate(network: nn.Module, batch: Batch, first: Tensor, steps: Tensor, count: int) -> Tensor:
+    """Give logits float32 [b, l, y, x] at the disparities first [b, y, x] + l steps [b] of light fields, l < count."""
+    scale = brightness(batch.reference)[:, None, None, None]
     with torch.no_grad():
-        reference = reference * scale
+        views, reference = batch.views * scale[..., None], batch.reference * scale
         costs = sector_costs(
-            views * scale[..., None], reference, offsets, starts, margin=margin, first=first, steps=steps, count=count
+            views, reference, batch.offsets, batch.starts, margin=batch.margin, first=first, steps=steps, count=count
         )
-    return network(costs, reference.permute(0, 3, 1, 2))
+        del views  # which are large
+    logits: Tensor = network(costs, reference.permute(0, 3, 1, 2))
+    return logits
+
+
+def learning_rate(largest: float, step: int, steps: int, warm_up: int) -> float:
+    """Give the learning rate of a step: half a cosine, after a warm-up."""
+    cosine = 0.5 + 0.5 * math.cos(math.pi * min(step / steps, 1.0))
+    return largest * min((step + 1) / warm_up, 1.0) * max(cosine, 0.01)
+
+
+def follow(mean: nn.Module, network: nn.Module, step: int) -> None:
+    """Move the mean of a network's weights over its last thousand steps, of which there were `step`, towards it."""
+    share = 1 - min(0.999, step / (step + 19))
+    with torch.no_grad():
+        for old, new in zip(mean.state_dict().values(), network.state_dict().values(), strict=True):
+            if old.is_floating_point():
+                old.lerp_(new, share)

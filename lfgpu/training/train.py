@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -22,7 +21,7 @@ from lfgpu.io import atomic_write
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.training.compared import SHOWN_FIRST, Comparison, WholeRanges, count_of
 from lfgpu.training.generator import Batch, Generator
-from lfgpu.training.network import MULTIPLE, Network, certainty, estimate, peak
+from lfgpu.training.network import MULTIPLE, Network, certainty, estimate, follow, learning_rate, peak
 from lfgpu.training.rig import Rig
 from lfgpu.training.trust import fit_trust
 from lfgpu.training.weights import unfold
@@ -175,12 +174,6 @@ class Trainer:
             with atomic_write(self.folder / LOG_FILE) as path:
                 path.write_text("".join(f"{json.dumps(line)}\n" for line in lines), encoding="utf-8")
 
-    def _logits(self, network: Network, batch: Batch, first: Tensor, steps: Tensor, count: int) -> Tensor:
-        return estimate(
-            network, batch.views, batch.reference, batch.offsets, batch.starts,
-            margin=batch.margin, first=first, steps=steps, count=count,
-        )  # fmt: skip
-
     def _parts(self) -> dict[str, torch.nn.Module | torch.optim.Optimizer | torch.amp.GradScaler]:
         """Name what has a state."""
         return {"network": self.network, "mean": self.mean, "optimiser": self.optimiser, "scaler": self.scaler}
@@ -190,9 +183,7 @@ class Trainer:
         rng = np.random.default_rng((self.settings.seed, 5))
         for number in range(SHOWN_FIRST):
             batch = self.generator.draw(number, self.settings.scenes)
-            count = count_of(self.settings.seed, 5, number)
-            first, steps, count = self._compared(batch, rng, count)
-            self._logits(network, batch, first, steps, count)
+            estimate(network, batch, *self._compared(batch, rng, count_of(self.settings.seed, 5, number)))
 
     def run(self, seconds: float, on_step: Callable[[int, dict[str, Any]], None] | None = None) -> None:
         """Train for some time, or to the end of the schedule, or until `stopped` is set, and write the state.
@@ -239,13 +230,13 @@ class Trainer:
         """Take one step on a batch, and give its losses and errors."""
         self.network.train()
         for group in self.optimiser.param_groups:
-            group["lr"] = self._rate()
+            group["lr"] = learning_rate(self.settings.rate, self.step, self.settings.steps, _WARM_UP)
         # All processes compare as many disparities: they wait for each other.
         first, steps, count = self._compared(batch, rng, count_of(self.settings.seed, 7, self.step))
         kind = torch.device(self.device).type
         # The kernels of a GPU compute in float16, too; bfloat16 loses faint texture. On a CPU both are slow.
         with torch.autocast(kind, dtype=torch.float16, enabled=kind == "cuda"):
-            logits = self._logits(self.network, batch, first, steps, count)
+            logits = estimate(self.network, batch, first, steps, count)
         found = losses(logits, batch.truth, first, steps)
         self.optimiser.zero_grad(set_to_none=True)
         self.scaler.scale(found["loss"]).backward()
@@ -261,12 +252,7 @@ class Trainer:
         self.scaler.step(self.optimiser)
         self.scaler.update()
         self.step += 1
-        # The weights that are kept are a mean over the last thousand steps.
-        share = 1 - min(0.999, self.step / (self.step + 19))
-        with torch.no_grad():
-            for old, new in zip(self.mean.state_dict().values(), self.network.state_dict().values(), strict=True):
-                if old.is_floating_point():
-                    old.lerp_(new, share)
+        follow(self.mean, self.network, self.step)
         return found
 
     def validate(self) -> Validation:
@@ -278,10 +264,9 @@ class Trainer:
         shown: list[Scene] = []
         for number in range(self.settings.unseen):
             batch = generator.draw(number, self.settings.scenes)
-            count = count_of(self.settings.seed, 6, number)
-            first, steps, count = self._compared(batch, rng, count)
+            first, steps, count = self._compared(batch, rng, count_of(self.settings.seed, 6, number))
             with torch.no_grad():
-                logits = self._logits(network, batch, first, steps, count)
+                logits = estimate(network, batch, first, steps, count)
             for name, value in losses(logits, batch.truth, first, steps).items():
                 sums[name] = sums.get(name, 0.0) + float(value) / self.settings.unseen
             found = peak(logits, first, steps)
@@ -314,12 +299,6 @@ class Trainer:
         """Make a source of batches of this process."""
         seed = self.settings.seed, era, self.rank
         return Generator(seed, self.device, side=side, rig=self.rig, spans=self._spans)
-
-    def _rate(self) -> float:
-        """Give the learning rate of the next step: half a cosine, after a warm-up."""
-        done = min(self.step / self.settings.steps, 1.0)
-        rising = min((self.step + 1) / _WARM_UP, 1.0)
-        return self.settings.rate * rising * max(0.5 + 0.5 * math.cos(math.pi * done), 0.01)
 
     def _is_over(self, late: bool) -> bool:
         """Say whether time is over for any of the processes."""

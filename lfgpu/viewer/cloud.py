@@ -105,9 +105,7 @@ def surface(cloud: Cloud, disparity: NDArray[np.float32]) -> NDArray[np.int64]:
     whole = (np.stack([a, b, c, d]) >= 0).all(axis=0)
     with np.errstate(invalid="ignore"):
         whole &= np.ptp(corners, axis=0) <= _EDGE * (high - low)  # NaN is not
-    return np.concatenate(
-        [np.stack([a, c, b], axis=-1)[whole], np.stack([b, c, d], axis=-1)[whole]]
-    )  # fmt: skip
+    return np.concatenate([np.stack([a, c, b], axis=-1)[whole], np.stack([b, c, d], axis=-1)[whole]])
 
 
 def nearest_to_ray(cloud: Cloud, origin: Any, direction: Any) -> tuple[int, int] | None:

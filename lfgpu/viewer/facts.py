@@ -10,7 +10,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
-from lfgpu.config import parameters
+from lfgpu.config import parameters, value_of
 from lfgpu.data import LightField
 from lfgpu.data.summary import are_counted
 from lfgpu.io import MAP_FORMATS
@@ -132,7 +132,7 @@ def _sections(config: Any) -> list[dict[str, Any]]:
         sections.setdefault(section, []).append(
             {
                 "name": parameter,
-                "value": getattr(getattr(config, section), parameter),
+                "value": value_of(config, name),
                 "about": meta["doc"],
                 "choices": list(meta["choices"]) if "choices" in meta else None,
                 "low": meta.get("low"),

@@ -51,8 +51,9 @@ class Film:
 
         Frames that were played again after some were lost are numbered anew: the picture says which map is theirs.
         """
-        found = None if self.maps is None else self.maps.number(_of(lf), number)
-        return None if self.maps is None or found is None else self.maps.map(found)
+        if self.maps is None or (found := self.maps.number(_of(lf), number)) is None:
+            return None
+        return self.maps.map(found)
 
 
 def _of(lf: LightField) -> str:

@@ -1,9 +1,11 @@
 """Guard of the viewer: it answers those who know the token, by a name of this machine, and no pages of other sites."""
 
+import asyncio
 import logging
 import secrets
 from collections.abc import Awaitable, Callable
-from typing import Any, Protocol, TypeVar
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from tornado.http1connection import HTTP1Connection
@@ -17,6 +19,7 @@ from lfgpu.printable import message
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.door import Door
 from lfgpu.viewer.facts import Facts
+from lfgpu.viewer.pictures import prepare
 
 _HOSTS = ("127.0.0.1", "localhost", "::1")
 _NO_TOKEN = "The address of the page has a token; see lfgpu view"
@@ -24,25 +27,36 @@ _EXPECTED = (LfgpuError, HTTPError, WebSocketClosedError, StreamClosedError)  # 
 _T = TypeVar("_T")
 
 
-class Site(Protocol):
+class Site:
     """The site: what all handlers share."""
 
-    token: str
-    """The first part of every path."""
-    board: Board
-    facts: Facts
-    tabs: dict[str, Any]
-    """The tabs by their names."""
     door: Door
+
+    def __init__(self, board: Board, token: str) -> None:
+        self.board, self.facts = board, Facts(board)
+        self.token = token
+        """The first part of every path."""
+        self.tabs: dict[str, Any] = {}
+        """The tabs by their names."""
+        self.pool, self.loop = ThreadPoolExecutor(4, "lfgpu-page"), asyncio.new_event_loop()
+        self._is_prepared = False
 
     async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
         """Do work in another thread, so that the server goes on answering."""
-
-    def prepare(self) -> None:
-        """Load soon what pictures need that are computed."""
+        return await asyncio.get_running_loop().run_in_executor(self.pool, work, *arguments)
 
     def call_soon(self, work: Callable[..., Any], *arguments: Any) -> None:
         """Call something in the thread of the server; from any thread."""
+        try:
+            self.loop.call_soon_threadsafe(work, *arguments)
+        except RuntimeError:
+            logging.getLogger("lfgpu.viewer").debug("the server has ended")
+
+    def prepare(self) -> None:
+        """Load soon what pictures need that are computed, once."""
+        if not self._is_prepared and self.board.contents.lf is not None:
+            self._is_prepared = True
+            self.pool.submit(prepare)
 
 
 @stream_request_body

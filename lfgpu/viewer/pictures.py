@@ -20,10 +20,7 @@ from lfgpu.viewer.late import import_all
 TILE = 512
 """Pixels along each side of a tile; those at the right and the lower end are smaller. Computed ones may be smaller."""
 
-_FOCUS_VIEWS, _QUICK_FOCUS_VIEWS = (
-    49,
-    25,
-)  # of a refocused picture, and of a smaller one that follows its slider
+_FOCUS_VIEWS, _QUICK_FOCUS_VIEWS = 49, 25  # of a refocused picture, and of a smaller one that follows its slider
 _SHARP_VIEWS = 13  # of a picture that is in focus everywhere
 _ROOM = 64 * 2**20  # bytes of small views that are kept
 _MET = 0.75  # pixels: a point that is not farther from a place is seen there

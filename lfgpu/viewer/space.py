@@ -286,9 +286,7 @@ class Space:
         segments = (centres[:, None, None] + lines).reshape(-1, 2, 3).astype(np.float32)
         shades = np.array([_CAMERAS[n == lf.reference_index] for n in range(len(centres))], np.uint8)
         colours = np.repeat(np.repeat(shades, len(lines), axis=0)[:, None], 2, axis=1)
-        self._server.scene.add_line_segments(
-            "/cameras", segments, colours, thickness=1.5, thickness_units="screen"
-        )  # fmt: skip
+        self._server.scene.add_line_segments("/cameras", segments, colours, thickness=1.5, thickness_units="screen")
 
     def _draw_mark(self, scene: Scene) -> None:
         cloud = self._cloud

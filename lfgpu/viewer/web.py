@@ -4,10 +4,9 @@ import asyncio
 import json
 import logging
 import threading
-from collections.abc import Awaitable, Callable
-from concurrent.futures import Executor, ThreadPoolExecutor
+from collections.abc import Awaitable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -19,9 +18,7 @@ from lfgpu.viewer.answers import ACTIONS, DATA, FILES, Query
 from lfgpu.viewer.board import Board
 from lfgpu.viewer.contents import Contents
 from lfgpu.viewer.door import Door
-from lfgpu.viewer.facts import Facts
 from lfgpu.viewer.guard import Guarded, Nothing, Site
-from lfgpu.viewer.pictures import prepare
 from lfgpu.viewer.place import Place
 from lfgpu.viewer.tabs import LARGEST, InSpace, Tab
 
@@ -33,20 +30,15 @@ _POLICY = (
 )
 _LARGEST_BODY = 2**20  # bytes of a wish of the page
 _PATIENCE = 60  # seconds for the head of a request, and for its body
-_T = TypeVar("_T")
 
 
-class Server:
+class Server(Site):
     """The web server of a board, in a thread of its own."""
 
     def __init__(self, board: Board, place: Place) -> None:
-        self.board, self.facts, self.token = board, Facts(board), place.token
-        self.pool: Executor = ThreadPoolExecutor(4, "lfgpu-page")
-        self.tabs: dict[str, Tab] = {}
-        self._socket = place.socket
-        self._loop = asyncio.new_event_loop()
+        super().__init__(board, place.token)
+        self._socket, self._ready = place.socket, threading.Event()
         self._stop: asyncio.Event | None = None
-        self._ready, self._prepared = threading.Event(), False
         logging.getLogger("tornado").addHandler(logging.NullHandler())  # else nonsense from others is on the terminal
         self._thread = threading.Thread(target=self._run, name="lfgpu-viewer", daemon=True)
         self._thread.start()
@@ -54,34 +46,17 @@ class Server:
 
     def close(self) -> None:
         """Close all tabs and free the port."""
-        if self._stop is not None and not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._stop.set)
+        if self._stop is not None and not self.loop.is_closed():
+            self.loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(10.0)
 
-    def call_soon(self, work: Callable[..., Any], *arguments: Any) -> None:
-        """Call something in the thread of the server; from any thread."""
-        try:
-            self._loop.call_soon_threadsafe(work, *arguments)
-        except RuntimeError:
-            logging.getLogger("lfgpu.viewer").debug("the server has ended")
-
-    async def apart(self, work: Callable[..., _T], *arguments: Any) -> _T:
-        """Do work in another thread, so that the server goes on answering."""
-        return await asyncio.get_running_loop().run_in_executor(self.pool, work, *arguments)
-
-    def prepare(self) -> None:
-        """Load soon what pictures need that are computed, once."""
-        if not self._prepared and self.board.contents.lf is not None:
-            self._prepared = True
-            self.pool.submit(prepare)
-
     def _run(self) -> None:
-        asyncio.set_event_loop(self._loop)
+        asyncio.set_event_loop(self.loop)
         try:
-            self._loop.run_until_complete(self._serve())
+            self.loop.run_until_complete(self._serve())
         finally:
             self.pool.shutdown(wait=False, cancel_futures=True)
-            self._loop.close()
+            self.loop.close()
 
     async def _serve(self) -> None:
         self._stop = asyncio.Event()

@@ -11,6 +11,7 @@ from markupsafe import Markup
 from numpy.typing import NDArray
 from PIL import Image
 
+from lfgpu.data import DisparityMap
 from lfgpu.viz.colours import GREY, LOOKS, indices, palette, shades
 from lfgpu.viz.panels import Picture, fitted
 from lfgpu.viz.pictures import ticks
@@ -119,6 +120,17 @@ def map_card(
     low, high = limits if limits is not None else limits_of(kind, values)
     image = map_image(values, kind, (low, high), most=most)
     return Card(title, remark, address(image, "PNG"), values.shape[::-1], scale=scale_of(kind, values, (low, high)))
+
+
+def trust_cards(map_: DisparityMap) -> list[Card]:
+    """Make the cards of the confidence and the uncertainty that a map has."""
+    cards = []
+    if map_.confidence is not None:
+        known = np.where(np.isfinite(map_.disparity), map_.confidence, np.float32(np.nan))
+        cards.append(map_card("Confidence", known, "confidence"))
+    if map_.uncertainty is not None:
+        cards.append(map_card("Uncertainty", map_.uncertainty, "uncertainty"))
+    return cards
 
 
 def limits_of(kind: str, values: NDArray[np.float32]) -> tuple[float, float]:

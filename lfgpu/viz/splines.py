@@ -59,13 +59,11 @@ def shifted(values: NDArray[Any], move: tuple[float, ...], order: int) -> tuple[
 
 
 def _weighted(terms: Iterable[tuple[NDArray[Any], np.float32]]) -> Float32Array:
-    total: Float32Array | None = None
-    for values, weight in terms:
-        if total is None:
-            total = values * weight
-        elif weight:
+    (values, weight), *others = terms
+    total: Float32Array = values * weight
+    for values, weight in others:
+        if weight:
             total += values * weight
-    assert total is not None  # there are as many terms as a polynomial has
     return total
 
 

@@ -128,10 +128,7 @@ def test_drawn_disparities_hold_the_truth(generator: Generator) -> None:
 
 def test_any_array_gives_logits(generator: Generator) -> None:
     batch = generator.draw(0, 1)
-    logits = estimate(
-        Network((4, 4, 4, 4)), batch.views, batch.reference, batch.offsets, batch.starts,
-        margin=batch.margin, first=torch.zeros_like(batch.truth), steps=torch.ones(1), count=8,
-    )  # fmt: skip
+    logits = estimate(Network((4, 4, 4, 4)), batch, torch.zeros_like(batch.truth), torch.ones(1), 8)
     assert logits.shape == (1, 8, MULTIPLE, MULTIPLE)
 
 

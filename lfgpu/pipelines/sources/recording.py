@@ -1,6 +1,5 @@
 """Recording of frames as they come, so that they can be played again: `lfgpu live FOLDER`."""
 
-import itertools
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -24,11 +23,7 @@ def recorded(frames: Frames, first: LightField, folder: Path, *, wanted: Callabl
     Cameras without a picture are left out. Frames that do not fit to the first one, or lack the picture of its
     reference view, are handed on, but not written; neither are those before which `wanted` returns False.
     """
-    for number in itertools.count():
-        try:
-            frame = next(frames)
-        except StopIteration:
-            return
+    for number, frame in enumerate(frames):
         lf = _light_field(frame, first) if wanted() else None
         if lf is not None:
             with atomic_folder(folder / _NAME.format(number)) as place:
