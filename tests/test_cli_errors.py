@@ -397,3 +397,12 @@ def test_a_terminal_is_told_what_goes_on(recorded: Path, out: Path, monkeypatch:
 
 def test_an_unknown_preset_has_no_parameters() -> None:
     refused(lfgpu("parameters", "--preset", "fats"), "unknown preset 'fats'; use one of accurate, fast, learned, ")
+
+
+def test_commands_need_no_backend_that_matplotlib_knows() -> None:
+    code = (
+        "import contextlib, sys; from lfgpu.cli import main; sys.argv = ['lfgpu', '--version']\n"
+        "with contextlib.suppress(SystemExit): main()\n"
+        "import lfgpu.reports.charts"
+    )
+    subprocess.run([sys.executable, "-c", code], env={**os.environ, "MPLBACKEND": "nonsense"}, check=True)

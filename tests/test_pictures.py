@@ -1,9 +1,6 @@
 """Pictures and the 3D view: colours, scales, units, undefined pixels, whole squares; black corners."""
 
 import math
-import os
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -336,16 +333,3 @@ def test_reading_finds_them(scene: LightField, tmp_path: Path) -> None:
     lf = lfgpu.read(tmp_path / "round")
     assert lf.valid is not None
     assert any("corners are black" in note for note in lf.notes)
-
-
-@pytest.mark.parametrize(("wanted", "found"), [("nonsense", "agg"), ("svg", "svg")])
-def test_any_backend_of_matplotlib_will_do(wanted: str, found: str) -> None:
-    code = (
-        "import lfgpu.reports.report, matplotlib\n"
-        "from lfgpu.viz.colours import shades\n"
-        "assert len(shades('magma', 2)) == 2\n"
-        "print(matplotlib.get_backend())"
-    )
-    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"} | {"MPLBACKEND": wanted}
-    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout.strip()) == (0, found), done.stderr

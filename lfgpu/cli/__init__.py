@@ -5,6 +5,7 @@ Commands import what they need when they run, so that help texts and wrong usage
 
 import gc
 import io
+import os
 import sys
 from collections.abc import Callable
 from typing import Annotated, Any
@@ -92,6 +93,7 @@ def main() -> None:
     """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # file names may hold characters that the terminal cannot show
+    os.environ.pop("MPLBACKEND", None)  # matplotlib refuses to load with a name that it does not know; no window opens
     gc.set_threshold(_OBJECTS)
     app(prog_name="lfgpu")
 

@@ -5,25 +5,23 @@ import re
 from collections.abc import Mapping
 from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from markupsafe import Markup
+from matplotlib import colormaps
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from lfgpu.cameras import Explanation
 from lfgpu.data.geometry import usual_gap
 from lfgpu.methods.base import Stage
 from lfgpu.metrics import Reliability, Sparsification
-from lfgpu.viz.colours import LOOKS, any_backend
+from lfgpu.viz.colours import LOOKS
 from lfgpu.viz.scales import scale_limits
-
-with any_backend():
-    import matplotlib as mpl
-    from matplotlib import colormaps
-    from matplotlib.axes import Axes
-    from matplotlib.backends.backend_svg import FigureCanvasSVG
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Rectangle
-    from matplotlib.ticker import MaxNLocator
 
 _INK, _MUTED, _LINE, _ACCENT, _OTHER = "#010101", "#010102", "#010103", "#010104", "#010105"
 _COLOURS = {_INK: "--ink", _MUTED: "--muted", _LINE: "--line", _ACCENT: "--accent", _OTHER: "--other"}

@@ -9,9 +9,10 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import datetime
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from lfgpu.cameras import Explanation
@@ -29,9 +30,6 @@ from lfgpu.reports.epis import Point, epi_cards, find_points
 from lfgpu.viz.cards import Card, Tile, cross_hair, limits_of, map_card, scale_of, trust_cards, view_card
 from lfgpu.viz.pages import rendered, write_page
 from lfgpu.viz.panels import rgb
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _HEADS = ("MSE ×100", "BadPix 0.07 (%)", "BadPix 0.03 (%)", "BadPix 0.01 (%)", "Q25 ×100", "RMSE", "undefined (%)")
 _SAME_PLACE = 1e-6  # view steps

@@ -9,7 +9,6 @@ import threading
 
 from lfgpu import methods
 from lfgpu._backends import DEFAULT
-from lfgpu.viz.colours import any_backend
 
 _MODULES = (
     "lfgpu.viz.refocusing",
@@ -29,6 +28,6 @@ _importing = threading.Lock()
 
 def import_all() -> None:
     """Import these modules, unless that was done. Other callers wait meanwhile, so that they load no kernel yet."""
-    with _importing, any_backend():
+    with _importing:
         for name in (*_MODULES, *(one.name for one in pkgutil.walk_packages(methods.__path__, f"{methods.__name__}."))):
             importlib.import_module(name)

@@ -3,10 +3,6 @@
 A picture with a palette has the steps of the colour map, the grey of undefined pixels, and greys for text.
 """
 
-import os
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,28 +62,10 @@ LOOKS = {
 """The looks of maps by the name of their kind."""
 
 
-@contextmanager
-def any_backend() -> Iterator[None]:
-    """Import matplotlib in the block, also where MPLBACKEND names a backend that it does not know.
-
-    Afterwards matplotlib has the backend of that name, if it knows it: the user may draw on a screen, lfgpu does not.
-    """
-    wanted = None if "matplotlib" in sys.modules else os.environ.pop("MPLBACKEND", None)
-    try:
-        yield
-    finally:
-        if wanted is not None:
-            os.environ["MPLBACKEND"] = wanted
-    if wanted:
-        with suppress(ValueError):
-            sys.modules["matplotlib"].rcParams["backend"] = wanted
-
-
 def shades(colours: str, count: int) -> NDArray[np.uint8]:
     """Return the colours [count, 3] of a colour map of matplotlib at equal distances, from low to high."""
     if colours not in _TABLES:
-        with any_backend():
-            from matplotlib import colormaps
+        from matplotlib import colormaps
 
         return np.asarray(colormaps[colours](np.linspace(0, 1, count))[:, :3] * 255 + 0.5, np.uint8)
     table = np.frombuffer(bytes.fromhex(_TABLES[colours]), np.uint8).reshape(-1, 3)
