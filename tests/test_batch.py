@@ -170,13 +170,13 @@ def test_a_result_that_is_lost_is_asked_for_alone_and_then_said_so(scene_folders
 
     finished, lost = [Future("finished"), Future("finished")], Future("pending")
     cluster, todo = Cluster(retries=0), jobs(scene_folders, tmp_path)
-    cluster._client = SimpleNamespace(sync=fails, _gather=None, status="running")
+    cluster.client = SimpleNamespace(sync=fails, _gather=None, status="running")
     assert cluster._results(finished) == {}
     entry = cluster._outcome(finished[0], None, _Task(todo[0], deque()))
     assert entry == {"status": DONE, "attempts": 1}
     entry = cluster._outcome(lost, None, _Task(todo[0], deque()))
     assert entry["error"] == "its result was lost with its worker, tried 1 times."
-    cluster._client.status = "closed"
+    cluster.client.status = "closed"
     entry = cluster._outcome(lost, None, _Task(todo[0], deque()))
     assert entry["error"] == "the scheduler was lost, tried 1 times."
 
