@@ -125,7 +125,7 @@ def alike(kernels: KernelSet, device: str) -> tuple[str, ...]:
 
 
 def _why_not(device: str) -> str:
-    """Return how GPUs are named, if that is no name of one; else why one of another kind than CUDA's is not there."""
+    """Say how GPUs are named if `device` is no such name; else why a Metal or Vulkan device is missing."""
     if device.partition(":")[0] not in ("cuda", "metal", "vulkan"):
         return "; GPUs are named cuda (the first), cuda:1 and so on, vulkan or metal"
     if device == "metal":

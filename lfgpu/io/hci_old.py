@@ -126,7 +126,8 @@ def _attributes(path: Path) -> dict[str, float | None]:
     for line in read_text(path, errors="replace").splitlines():
         value, slashes, name = (part.strip() for part in line.partition("//"))
         try:
-            numbers |= {name: float(value)} if slashes else {}
+            if slashes:
+                numbers[name] = float(value)
         except ValueError:
             raise LightFieldError(f"{path}: {name!r} must be a number, not {value!r}.") from None
     return {name: number for name, number in numbers.items() if number is not None and math.isfinite(number)}

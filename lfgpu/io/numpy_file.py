@@ -49,10 +49,8 @@ def _told(path: Path) -> Iterator[None]:
         start = head(path, len(MAGIC))
         if start != MAGIC and start[:4] != ZIP:
             reason = "it does not begin as .npy and .npz files do"
-        elif isinstance(error, EOFError) or (
-            start != MAGIC and not zipfile.is_zipfile(path)
-        ):  # whose list is at its end
-            reason = "it ends too early"
+        elif isinstance(error, EOFError) or (start != MAGIC and not zipfile.is_zipfile(path)):
+            reason = "it ends too early"  # as a ZIP file does whose list of files, at its end, is missing
         else:
             reason = f"it is damaged ({reason_of(error)})"
         raise ValueError(f"{reason}; copy it again, or write it anew") from error

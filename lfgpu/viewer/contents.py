@@ -267,7 +267,7 @@ def _is_map(path: Path) -> bool:
 
 
 def check_known(paths: Sequence[Path], **reading: Any) -> None:
-    """Raise LightFieldError if one of the paths is none that `opened_all` opens, by a quick look."""
+    """Look at paths without reading them; raise LightFieldError if `opened_all` cannot open one."""
     if reading:
         chosen_format(paths[0], reading.get("format"), reading.get("pattern"))
     for path in paths[1:] if reading else paths:
