@@ -36,7 +36,8 @@ def confirm(
     """
     bounds, most = found, largest_disparity(layout)
     for tries in range(_TRIES + 1):
-        piles = [share > MANY and share > _MORE_THAN_BESIDE * beside for share, beside in _at_ends(bounds, matched)]
+        ends = _at_ends(bounds, matched)
+        piles = [share > MANY and share > _MORE_THAN_BESIDE * beside for share, beside in ends]
         if not any(piles):
             break
         further = _FURTHER * (bounds[1] - bounds[0])
@@ -45,8 +46,8 @@ def confirm(
             break
         bounds, matched = wider, match(wider)
     moved = [now != before for now, before in zip(bounds, found, strict=True)]
-    left = [share > _FEW for share, _ in _at_ends(bounds, matched)]
-    if not any(piles) and not any(is_left and is_moved for is_left, is_moved in zip(left, moved, strict=True)):
+    left = [is_moved and share > _FEW for (share, _), is_moved in zip(ends, moved, strict=True)]
+    if not any(piles) and not any(left):
         return None
     if bounds != found:
         match(found)

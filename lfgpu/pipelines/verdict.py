@@ -36,7 +36,7 @@ MANY = 0.01
 _END = 1e-3  # of the width of the range: distance from an end within which a pixel of a finished map lies at it
 _LEAST_SHARED = 0.25  # of the narrower range; the found one has margins, and outliers may widen it
 _NOTHING = 0.1  # the most confidence where views show nothing
-_UNSURE = 95  # per cent of the pixels: a map is doubted if so many are not more confident than that
+_UNSURE = 0.95  # of the pixels: a map is doubted if so many are not more confident than that
 _SAMPLES = 128  # along each side of a map
 
 _SHOW_NOTHING = (
@@ -208,10 +208,10 @@ def map_notes(disparity: Float32Array, confidence: Float32Array, bounds: tuple[f
         for end, share in at_ends(disparity, bounds).items()
     ]
     known = _sampled(confidence)[np.isfinite(_sampled(disparity))]
-    if known.size and np.percentile(known, _UNSURE) <= _NOTHING:
+    if known.size and (known <= _NOTHING).mean() >= _UNSURE:
         found.append(
-            f"The confidence is at most {_NOTHING:g} at {_UNSURE} % of the pixels: the views may not belong together "
-            "or show too little, or the range may leave the scene out."
+            f"The confidence is at most {_NOTHING:g} at {100 * _UNSURE:.0f} % of the pixels: the views may not belong "
+            "together or show too little, or the range may leave the scene out."
         )
     return tuple(found)
 
