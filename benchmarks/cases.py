@@ -40,9 +40,6 @@ CASES = (
     Case((17, 17), (960, 1280), default=False),
 )
 
-STARTUP_CASE = CASES[1]
-"""The case of the first result of a process: so small that start-up is most of the time."""
-
 
 def find(name: str) -> Case:
     """Return the case of that name; BenchmarkError if there is none."""

@@ -29,7 +29,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         "range scaling batches tiles",  # many light fields, and large ones
         "live flicker soak",  # streams
         "call network choice windows",  # parts of an estimate, and training of one
-        "table compare figures gallery gpu-parity",  # files of results, and pages
+        "table compare figures gpu-parity",  # files of results, and pages
     )
     for name in names.split()
 }

@@ -37,7 +37,7 @@ class Record:
     """One measurement, or the reason why there is none."""
 
     kind: str
-    """operation, pipeline, bandwidth, startup, accuracy, ablation, paper or forms."""
+    """operation, pipeline, bandwidth, accuracy, ablation, paper or forms."""
     backend: str
     device: str
     case: str

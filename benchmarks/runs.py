@@ -34,7 +34,6 @@ _METRICS = {
     "badpix_01": ("0.01", "{:.1f} %"),
     "q25": ("Q25×100", "{:.2f}"),
 }
-_STARTUP = {"import": "import lfgpu", "cold": "first result, empty caches", "warm": "first result, filled caches"}
 
 Cell = Callable[[Record], str]
 
@@ -95,7 +94,6 @@ def tables(records: Sequence[Record]) -> list[Table]:
         *(_whole(title, [r for r in whole if r.name == name]) for name, title in ways.items()),
         _solvers([r for r in whole if r.name in (RESIDENT, SCIPY)]),
         _bandwidth(sorted(_of(done, "bandwidth"), key=lambda r: r.device)),
-        _startup(_of(done, "startup")),
         *_ablations(_of(done, "ablation")),
         *_accuracies(_of(done, "accuracy")),
     ]
@@ -243,11 +241,6 @@ def _bandwidth(records: list[Record]) -> Table:
         "bandwidth": lambda r: f"{bandwidth.of(r) / 1e9:.3g} GB/s",
     }
     return Table.of("Memory bandwidth", 3, records, columns)
-
-
-def _startup(records: list[Record]) -> Table:
-    names = {name: _WHAT[name] for name in ("backend", "device")}
-    return Table.of("Start-up", 3, records, {**names, "what": lambda r: _STARTUP[r.name], **_TIMES, **_N})
 
 
 def _ablations(records: list[Record]) -> Iterator[Table]:

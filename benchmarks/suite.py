@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -11,8 +10,8 @@ from typing import Annotated
 
 import typer
 
-from benchmarks import bandwidth, cases, operations, pipelines, processes, startup
-from benchmarks.cases import STARTUP_CASE, Case
+from benchmarks import bandwidth, cases, operations, pipelines, processes
+from benchmarks.cases import Case
 from benchmarks.job import Job
 from benchmarks.options import check_known, check_out, known_backend, listed, say
 from benchmarks.results import Record, Run, Skipped
@@ -39,7 +38,6 @@ class Plan:
     operations: tuple[str, ...] = OPERATIONS
     pipelines: tuple[str, ...] = pipelines.NAMES
     devices: tuple[str, ...] | None = None
-    startup: bool = True
     repeats: int = 15
     threads: int = 1
     runs: int = 50
@@ -73,7 +71,6 @@ def measure(
     threads: Annotated[int | None, typer.Option(min=1, help="Threads of the CPU; default: one for each core.")] = None,
     timeout: Annotated[float, typer.Option(min=1, help="Seconds that one process may take.")] = 600,
     runs: Annotated[int, typer.Option(min=1, help="Repeats of the resident method on a GPU.")] = 50,
-    startup: Annotated[bool, typer.Option(help="Import and time to the first result.")] = True,
     out: Annotated[Path | None, typer.Option(metavar="FILE.json", help="File of the results.")] = None,
 ) -> None:
     """Measure time, memory and error of every backend on every device, and print tables."""
@@ -88,7 +85,6 @@ def measure(
         timed,
         whole,
         devices=tuple("cuda:0" if n == "cuda" else n for n in listed(devices)) or None,
-        startup=startup,
         repeats=repeats,
         threads=threads or get_threads(),
         runs=runs,
@@ -115,10 +111,6 @@ def done(job: Job, plan: Plan) -> list[Record]:
 
 
 def _records(plan: Plan, targets: list[tuple[str, str]], folder: Path) -> Iterator[Record]:
-    environment = {**os.environ, **plan.variables}
-    if plan.startup:
-        say("import of lfgpu")
-        yield startup.import_time(environment)
     if plan.operations and targets:
         if any(device == "cpu" for _, device in targets):
             say("numpy cpu bandwidth")
@@ -134,11 +126,6 @@ def _records(plan: Plan, targets: list[tuple[str, str]], folder: Path) -> Iterat
                 for target in some:
                     repeats = _repeats(plan, kind, name, target[1])
                     yield from done(Job(kind, *target, case.name, name, repeats, str(path)), plan)
-    if plan.startup and targets:
-        path = _scene(STARTUP_CASE, folder)
-        for backend, device in targets:
-            say(f"{backend} {device} start-up")
-            yield from startup.first_results(backend, device, path, environment, plan.timeout)
 
 
 def _targets(plan: Plan) -> tuple[list[tuple[str, str]], list[Skipped]]:

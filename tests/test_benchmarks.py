@@ -41,7 +41,7 @@ def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("benchmarks") / "run.json"
     done = benchmarks(
         *("--cases", TINY.name, "--operations", "fast", "--backends", "warp", "--devices", "cpu,cuda:99"),
-        *("--pipelines", ",".join(WAYS), "--repeats", "1", "--threads", "1", "--no-startup", "--out", out),
+        *("--pipelines", ",".join(WAYS), "--repeats", "1", "--threads", "1", "--out", out),
     )
     assert done.returncode == 0, done.stderr
     assert "semi_global" in done.stdout
@@ -58,7 +58,7 @@ def run_of(*records: Record, **fields: object) -> Run:
 
 def record_of(median: float = 1.0, *, half_spread: float = 0.01, error: float = 1e-6) -> Record:
     spread = Spread(median, median - half_spread, median + half_spread, 9, median + half_spread)
-    return Record("startup", "warp", "cpu", CASES[1].name, "cold", spread, bytes=10**6, errors={"relative": error})
+    return Record("operation", "warp", "cpu", CASES[1].name, "cold", spread, bytes=10**6, errors={"relative": error})
 
 
 # --- a run ---
@@ -107,7 +107,7 @@ def test_what_is_not_there_is_listed(measured: Path) -> None:
     skipped = {(s.backend, s.device): s.reason for s in results.load(measured).skipped}
     assert skipped.keys() == {("warp", "cuda:99")}
     assert "there is cpu" in skipped["warp", "cuda:99"]
-    run = suite.run(suite.Plan((TINY,), ("nosuch",), startup=False))
+    run = suite.run(suite.Plan((TINY,), ("nosuch",)))
     assert run.records == []
     assert [(s.backend, s.device) for s in run.skipped] == [("nosuch", "any device")]
     assert "unknown backend" in run.skipped[0].reason
@@ -171,13 +171,13 @@ def test_the_table_is_markdown(measured: Path) -> None:
 
 def test_what_changed_is_found() -> None:
     slower = compare(run_of(record_of(1.0)), run_of(record_of(1.2)), 0.1)
-    assert slower.slower == ["warp cpu startup 5x5x128x128 cold: 1 s → 1.2 s (+20 %)"]
+    assert slower.slower == ["warp cpu operation 5x5x128x128 cold: 1 s → 1.2 s (+20 %)"]
     assert slower.fails
     faster = compare(run_of(record_of(1.2)), run_of(record_of(1.0)), 0.1)
     assert len(faster.faster) == 1
     assert not faster.fails
     assert compare(run_of(record_of()), run_of(record_of(error=1e-5)), 0.1).worse == [
-        "warp cpu startup 5x5x128x128 cold: error relative 1e-06 → 1e-05"
+        "warp cpu operation 5x5x128x128 cold: error relative 1e-06 → 1e-05"
     ]
     assert compare(run_of(record_of()), run_of(record_of(error=float("nan"))), 0.1).fails
     low, high = (replace(record_of(), errors={"energy": energy}) for energy in (100.0, 102.0))
