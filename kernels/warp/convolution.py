@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import warp as wp
 
-from lfgpu.contract import Float32Array, Rows
+from lfgpu.contract import Float32Array, Float64Array, Rows
 
 from .memory import pixel_type, start
 from .native_code import c_type, kernel
@@ -26,28 +26,37 @@ def _kernel(
     function: str, shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any, tiles: int = 0
 ) -> Any:
     """Return the kernel for weights of a shape [l, y, x, c_in, c_out], and `tiles` of rows on each warp of a GPU."""
-    *_, inputs, outputs = shape
+    *_, taps, inputs, outputs = shape
     on_cpu = function == "convolve_rows"
     names = "KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"
     numbers: dict[str, Any] = dict(zip(names, (*shape, *strides), strict=True))
-    spread = _spread(shape, strides) if on_cpu else 1
-    numbers |= {
-        "PADDED": _padded(spread * outputs),
-        "SPREAD": spread,
-        "TILES": tiles,
-        "APART": _apart(inputs),
-        "RECTIFIED": int(rectified),
-    }
+    numbers |= {"PADDED": _padded(outputs), "TILES": tiles, "APART": _apart(inputs), "RECTIFIED": int(rectified)}
     numbers |= {"STORED": c_type(stored, for_vectors=on_cpu), "RESULT": c_type(result, for_vectors=on_cpu)}
     types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
     if on_cpu:
+        before, weighed, after = _products(taps, strides[2])
+        numbers |= {"TERMS": len(before), "TAPS": weighed.shape[1], "MANY": len(after)}
+        numbers |= {"BEFORE": tuple(before.ravel().tolist()), "AFTER": tuple(after.ravel().tolist())}
         return kernel("convolution.h", "convolve_rows", wide=True, **types, **numbers)
     return kernel("convolution.cuh", "convolve_tiles" if tiles else "convolve_voxels", **types, **numbers)
 
 
-def _spread(shape: tuple[int, ...], strides: _Strides) -> int:
-    """Return how many taps of a row a CPU takes for channels: all of them if they fit into a vector, else one."""
-    return shape[2] if shape[2] * shape[4] <= _LANES and strides[2] == 1 else 1
+def _products(taps: int, stride: int) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return the sums of products by which a CPU multiplies windows of so many taps along a row.
+
+    These are sums of the volume [term, pixel], and of the weights [term, tap, tap of the window], whose products are
+    computed, and sums of these [pixel of the output, term]. For three taps they are Winograd's F(4, 3): the products
+    are values of polynomials at six points. Elsewhere each tap is multiplied by itself.
+    """
+    if (taps, stride) != (3, 1):
+        return np.ones((1, taps)), np.eye(taps)[np.newaxis], np.ones((1, 1))
+
+    def powers(count: int) -> Float64Array:
+        """Return the powers of each point; of infinity, which is the last one, the highest alone counts."""
+        return np.vstack([np.vander([0, 1, -1, 2, -2], count, increasing=True), np.eye(count)[-1]])
+
+    before = np.linalg.inv(powers(6)).T.round(12).astype(np.float64)
+    return before, powers(taps)[:, np.newaxis], powers(4).T
 
 
 def _padded(channels: int) -> int:
@@ -95,12 +104,13 @@ class convolution:
         start()
         self._shape, self._strides, self._rectified = weights.shape, strides, rectified
         self._device = wp.get_device(device)
-        if self._device.is_cpu and _spread(weights.shape, strides) > 1:
-            weights = weights.swapaxes(2, 3).reshape(*weights.shape[:2], 1, weights.shape[3], -1)
-        more = _padded(weights.shape[-1]) - weights.shape[-1]
-        padded = np.pad(weights, [(0, 0)] * 4 + [(0, more)]).reshape(-1)
-        self._weights = wp.array(padded, dtype=float, device=self._device)
-        self._bias = wp.array(bias, dtype=float, device=self._device)
+        more = 0, _padded(len(bias)) - len(bias)
+        padded = np.pad(weights, [(0, 0)] * 4 + [more])
+        if self._device.is_cpu:
+            _, weighed, _ = _products(weights.shape[2], strides[2])
+            padded = np.einsum("tsk, lykio -> tlysio", weighed, padded, optimize=True)
+        self._weights = wp.array(padded.reshape(-1), dtype=float, device=self._device)
+        self._bias = wp.array(np.pad(bias, more), dtype=float, device=self._device)
         # What is no GPU at all stands for one in tests.
         has_tensor_cores = not self._device.is_cpu and self._device.arch not in range(1, _AMPERE)
         self._tiles = _tiles(weights.shape, strides) if has_tensor_cores else 0
