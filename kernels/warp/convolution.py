@@ -37,7 +37,7 @@ def _kernel(
         before, weighed, after = _products(taps, strides[2])
         numbers |= {"TERMS": len(before), "TAPS": weighed.shape[1], "MANY": len(after)}
         numbers |= {"BEFORE": tuple(before.ravel().tolist()), "AFTER": tuple(after.ravel().tolist())}
-        return kernel("convolution.h", "convolve_rows", wide=True, **types, **numbers)
+        return kernel("convolution.h", "convolve_rows", **types, **numbers)
     return kernel("convolution.cuh", "convolve_tiles" if tiles else "convolve_voxels", **types, **numbers)
 
 

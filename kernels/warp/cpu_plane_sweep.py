@@ -43,7 +43,7 @@ def sweep_kernel(channels: int, kept: Any, gradients: bool, rooted: bool, penalt
     """
     numbers = {"CHANNELS": channels, "STRIP": _STRIP, "LANES": LANES, "PENALTY": penalty}
     numbers |= {"GRADIENTS": int(gradients), "ROOTED": int(rooted)}
-    return kernel("plane_sweep.h", "sweep_rows", wide=True, Kept=kept, **numbers)
+    return kernel("plane_sweep.h", "sweep_rows", Kept=kept, **numbers)
 
 
 def room_of(channels: int, groups: int) -> int:

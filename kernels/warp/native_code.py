@@ -70,7 +70,8 @@ def _assembled(file: str, name: str, numbers: dict[str, Any]) -> str:
         if re.search(rf"\b{part.name}\b", text):
             text = part.text + text
     defined = "".join(f"#define {number} {_written(value)}\n" for number, value in numbers.items())
-    return f"\n{defined}{text}" + "".join(f"#undef {number}\n" for number in numbers)
+    fused = "#pragma clang fp contract(fast)\n" if file.endswith(".h") else ""  # as GPUs do products and sums anyway
+    return f"\n{fused}{defined}{text}" + "".join(f"#undef {number}\n" for number in numbers)
 
 
 def _written(value: Any) -> str:
@@ -150,18 +151,17 @@ def kernel(
     *,
     module: str | None = None,
     launch_bounds: tuple[int, int] | None = None,
-    wide: bool = False,
     **given: Any,
 ) -> Any:
     """Make a kernel that is a function of a file of `native`, specialised as by `function`, the first time; keep it.
 
     An argument `int tid` at the beginning is the index of the thread; the others are given when it is launched.
     `module` is the module of Warp that it is compiled in, by default one for each specialisation; `launch_bounds` are
-    the threads of a block on a GPU, and the blocks that a multiprocessor is to hold at once. With `wide`, it is
-    compiled for the widest vectors that the CPU has: compilers use 256 of 512 bits where nobody says so, as the first
-    CPUs with more were slower with them.
+    the threads of a block on a GPU, and the blocks that a multiprocessor is to hold at once. It is compiled
+    for the widest vectors that the CPU has: compilers use 256 of 512 bits where nobody says so, as the first CPUs with
+    more were slower with them.
     """
-    return _kept(file, name, module, launch_bounds, wide, tuple(given.items()))
+    return _kept(file, name, module, launch_bounds, tuple(given.items()))
 
 
 @once
@@ -170,7 +170,6 @@ def _kept(
     name: str,
     module: str | None,
     launch_bounds: tuple[int, int] | None,
-    wide: bool,
     items: tuple[tuple[str, Any], ...],
 ) -> Any:
     given = dict(items)
@@ -186,9 +185,8 @@ def _kept(
         kind = zlib.crc32(repr([(key, _said(value)) for key, value in items]).encode())
         module = f"lfgpu_{file.replace('.', '_')}_{name}_{kind:08x}"
     found = wp.kernel(calling, module=module, enable_backward=False, launch_bounds=launch_bounds)
-    if wide:
-        flags = wp.config.cpu_compiler_flags or "-march=native"  # Warp's default
-        wp.set_module_options({"cpu_compiler_flags": f"{flags} -mprefer-vector-width=512"}, found.module)
+    flags = wp.config.cpu_compiler_flags or "-march=native"  # Warp's default
+    wp.set_module_options({"cpu_compiler_flags": f"{flags} -mprefer-vector-width=512"}, found.module)
     return found
 
 

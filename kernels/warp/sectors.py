@@ -24,7 +24,7 @@ _BLOCK = 128  # threads of a GPU, each with a pixel
 def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
     numbers = {**_NUMBERS, "CHANNELS": channels, "CHUNK": _CHUNK, "STORED": c_type(costs, for_vectors=True)}
     types = {"Kept": kept_type(stored), "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
-    return kernel("sectors.h", "find_sector_costs", wide=True, **types, **numbers)
+    return kernel("sectors.h", "find_sector_costs", **types, **numbers)
 
 
 def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:

@@ -31,7 +31,7 @@ def _blocks_kernel(channels: int) -> Any:
     # Of two rows one after the other, the places whose numbers alternate in a merged row.
     left, right = np.arange(2 * _CHUNK).reshape(2, 2, -1).transpose(1, 2, 0).reshape(2, -1).tolist()
     numbers = {"CHANNELS": channels, "BLOCK": _BLOCK, "CHUNK": _CHUNK, "LEFT": tuple(left), "RIGHT": tuple(right)}
-    return kernel("semi_global.h", "follow_blocks", wide=True, Pixel=pixel_type(channels), **numbers)
+    return kernel("semi_global.h", "follow_blocks", Pixel=pixel_type(channels), **numbers)
 
 
 def _step_costs_kernel(channels: int) -> Any:

@@ -15,7 +15,6 @@
 void convolve_rows(
     Array3<In> volume, Array1<float> weights, Array1<float> bias, Array3<Added> added, int top, int some, int height,
     int high, int first, int last, Array3<Out> volume_out) {
-    #pragma clang fp contract(fast)
 #ifdef __AVX512F__
     constexpr int LANES = 16, REGISTERS = 26;
 #else

@@ -33,7 +33,6 @@ void sweep_rows(
     Array1<int> members, int groups, Array2<vec4f> shifts, Array1<float> limits, int view_sets, float scale,
     float truncation, float gradient_weight, float gradient_truncation, Number softness, float preference, float least,
     int first, int last, Array1<float> room, Array3<float> volume_out) {
-    #pragma clang fp contract(fast)
     const int height = image.shape[1], width = image.shape[2] - LANES, views_there = order.shape[0];
     const int labels = volume_out.shape[0], long_row = views.shape[3];
     const size_t plane = (size_t)height * width, long_plane = (size_t)height * long_row;

@@ -27,7 +27,6 @@ void find_sector_costs(
 
     // Add the differences of view n at the columns from x on, all of the disparity d.
     auto add_row = [&](int n, auto offset, float d, int x, int y, int there) {
-        #pragma clang fp contract(fast)
         const float right = -d * offset[0], down = -d * offset[1];
         const int dx = (int)__builtin_floorf(right), dy = (int)__builtin_floorf(down);
         const float ax = right - dx, ay = down - dy;
@@ -66,7 +65,6 @@ void find_sector_costs(
 
     // The same of pixels that have disparities of their own.
     auto add_pixels = [&](int n, auto offset, int x, int y, int there) {
-        #pragma clang fp contract(fast)
         const auto* const view = views.data + n * CHANNELS * plane;
         const float* const counts = valid.data ? valid.data + (size_t)n * height * width : nullptr;
         // Two neighbours of a row; of bytes and words they are read at once.

@@ -80,7 +80,6 @@ void smooth_rows(
         auto* const out = views_out.data + view + (size_t)y * width;
         const int above = y < REACH ? -y : -REACH, below = height - 1 - y < REACH ? height - 1 - y : REACH;
         for (int x = 0; x < width; x += LANES) {
-            #pragma clang fp contract(fast)
             Some middle[CHANNELS], sum[CHANNELS], weights = 0.f;
             #pragma unroll
             for (int c = 0; c < CHANNELS; ++c) {
