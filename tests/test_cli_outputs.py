@@ -68,7 +68,7 @@ def test_outputs_of_an_earlier_run_go_and_other_files_stay(recorded: Path, loose
     assert {path.name for path in out.iterdir()} == {*(path.name for path in last.iterdir()), "mine.tif"}
 
 
-def test_names_to_save_are_checked_before_anything_is_read(
+def test_outputs_are_checked_before_anything_is_read(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("lfgpu.io.read", pytest.fail)
@@ -79,6 +79,10 @@ def test_names_to_save_are_checked_before_anything_is_read(
         ("disparity.png", "another output"),
     ):
         refused(lfgpu("depth", recorded, "-o", tmp_path / "out", "--save", name), words)
+    for command in (["depth"], ["export-scene"], ["depth", "--save", "input_Cam004.png"]):
+        refused(lfgpu(*command, recorded, "-o", recorded / ".." / recorded.name), "which is the input")
+    tiles = recorded / "input_Cam004.png"
+    refused(lfgpu("depth", tiles, "-o", recorded, "--save", tiles.name), "which is the input")
     assert not list(tmp_path.iterdir())
 
 

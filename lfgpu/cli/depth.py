@@ -75,8 +75,9 @@ def depth(
     from lfgpu.methods.footprint import parse_memory
     from lfgpu.pipelines.verdict import needed_views
 
-    check_writable(out)
     check_names("--save", saved or ())
+    for place in (out, *(out / name for name in saved or ())):
+        check_writable(place, folder=place == out, source=source)
     config = parameters.config()
     estimation = computing.estimation(config, check=False, deterministic=deterministic, max_memory=max_memory)
     if max_memory is not None:

@@ -36,7 +36,7 @@ def export_scene(
     from lfgpu.cli.console import output
     from lfgpu.io import VIEWS_FILE, check_writable, load, read
 
-    check_writable(out)
+    check_writable(out, source=source)
     options = reading.options()
     estimation = computing.estimation(values.configured(preset, ()))
     lf = read(source, **options)

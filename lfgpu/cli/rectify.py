@@ -75,9 +75,7 @@ def rectify(
     from lfgpu.cli.console import output
     from lfgpu.io import check_writable, save, write_pfm
 
-    check_writable(out)
-    if out.resolve() == (source if source.is_dir() else source.parent).resolve():
-        raise LightFieldError(f"-o names {out}, which holds the input: rectified views could replace it; name another.")
+    check_writable(out, source=source if source.is_dir() else source.parent)
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
     estimation = computing.estimation(values.configured(None, ()))

@@ -73,13 +73,11 @@ def render(
         raise LightFieldError("give one of --view, --refocus, --all-in-focus and --sweep.")
     if sweep is not None and sweep not in _SWEEPS:
         raise LightFieldError(f"--sweep must be one of {', '.join(_SWEEPS)}, not {sweep!r}.")
-    if out.resolve() == source.resolve():
-        raise LightFieldError(f"-o names {out}, which is the input: it could be written over; name another.")
     if sweep is None:
         check_image_path(out)
     else:
         check_frames_path(out, frames)
-    check_writable(out, folder=not out.suffix)
+    check_writable(out, folder=not out.suffix, source=source)
     place = values.parse_place("--view", view)
     reference = values.parse_place("--reference-view", reference_view)
     options = reading.options()

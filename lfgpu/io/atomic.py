@@ -79,9 +79,14 @@ def check_no_others(out: str | os.PathLike[str], new: Container[str], ours: re.P
         raise LightFieldError(f"{out} holds {other} of another light field or film; choose an empty folder.")
 
 
-def check_writable(out: str | os.PathLike[str], *, folder: bool = True) -> None:
-    """Raise LightFieldError if `out` could not be written later, so that no long computation is lost; makes nothing."""
+def check_writable(out: str | os.PathLike[str], *, folder: bool = True, source: Path | None = None) -> None:
+    """Raise LightFieldError if `out` could not be written later, so that no long computation is lost; makes nothing.
+
+    Nor may it be the `source` of what is to be written.
+    """
     target = _resolved(out)
+    if source is not None and os.path.realpath(source) == str(target):
+        raise LightFieldError(f"-o names {out}, which is the input: it could be written over; name another.")
     if not folder and target.is_dir():
         raise LightFieldError(f"{target} cannot be written: it is a folder; name a file in it.")
     # A file is replaced by its sibling, a folder is written into: a folder has to be writable in both cases.

@@ -276,7 +276,7 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
 def test_the_input_is_not_written_over(boxes: LightField, tmp_path: Path) -> None:
     recorded(tmp_path, boxes, ideal_cameras(boxes))
     before = {file: file.read_bytes() for file in tmp_path.iterdir()}
-    refused(command("rectify", tmp_path, "-o", tmp_path / ".." / tmp_path.name), "which holds the input")
+    refused(command("rectify", tmp_path, "-o", tmp_path / ".." / tmp_path.name), "which is the input")
     assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before
 
 
