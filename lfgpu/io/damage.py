@@ -30,7 +30,8 @@ def read_as(path: Path, kind: str = "") -> Iterator[None]:
             raise LightFieldError(f"{path} cannot be read: {reason_of(error)}.") from error
         if not kind:
             raise
-        raise LightFieldError(f"{path} cannot be read as {kind}: {reason_of(error)}.") from error
+        reason = f"{reason_of(error)}; copy it again, or write it anew"
+        raise LightFieldError(f"{path} cannot be read as {kind}: {reason}.") from error
 
 
 @contextmanager

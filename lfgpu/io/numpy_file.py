@@ -40,7 +40,7 @@ def load_arrays(path: Path, names: Sequence[str] = (), *, of_maps: bool = False)
 
 @contextmanager
 def _told(path: Path) -> Iterator[None]:
-    """Say what is wrong with a file that zipfile or NumPy cannot read, and what to do."""
+    """Say what is wrong with a file that zipfile or NumPy cannot read."""
     try:
         yield
     except (LightFieldError, OSError):
@@ -53,7 +53,7 @@ def _told(path: Path) -> Iterator[None]:
             reason = "it ends too early"  # as a ZIP file does whose list of files, at its end, is missing
         else:
             reason = f"it is damaged ({reason_of(error)})"
-        raise ValueError(f"{reason}; copy it again, or write it anew") from error
+        raise ValueError(reason) from error
 
 
 def _file(path: Path) -> NDArray[Any]:

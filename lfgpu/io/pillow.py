@@ -39,13 +39,14 @@ def decoding(source: Path | io.BytesIO, *formats: str) -> Iterator[ImageFile.Ima
 
 
 class _Filters:
-    """Filters of Pillow's warnings while it decodes.
+    """Filters of Pillow's warnings, and no limit of its pixels, while it decodes: `check_claim` knows better.
 
-    Filters belong to the whole process: the first of several threads sets them, the last one sets them back.
+    Both belong to the whole process: the first of several threads sets them, the last one sets them back.
     """
 
     def __init__(self) -> None:
         self._lock, self._inside, self._before = threading.Lock(), 0, warnings.catch_warnings()
+        self._limit = Image.MAX_IMAGE_PIXELS
 
     def __enter__(self) -> None:
         with self._lock:
@@ -54,14 +55,14 @@ class _Filters:
                 self._before = warnings.catch_warnings()
                 self._before.__enter__()
                 warnings.simplefilter("ignore", UserWarning)  # of damaged remarks about the image
-                # Pillow warns first and refuses from twice that size on; both are far beyond any view.
-                warnings.simplefilter("error", Image.DecompressionBombWarning)
+                self._limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
 
     def __exit__(self, *_: object) -> None:
         with self._lock:
             self._inside -= 1
             if self._inside == 0:
                 self._before.__exit__(None, None, None)
+                Image.MAX_IMAGE_PIXELS = self._limit
 
 
 _FILTERS = _Filters()
