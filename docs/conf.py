@@ -51,7 +51,7 @@ copybutton_only_copy_prompt_lines = True
 
 autosummary_generate = True
 autosummary_imported_members = True
-autodoc_default_options = {"members": True, "member-order": "groupwise", "inherited-members": "BaseException, Enum, int"}
+autodoc_default_options = {"members": True, "member-order": "groupwise", "inherited-members": "BaseException,Enum,int"}
 autodoc_typehints = "none"  # types stand in the lists of parameters (`typed`)
 python_maximum_signature_line_length = 80
 numpydoc_show_class_members = False  # _templates has a table of methods

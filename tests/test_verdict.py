@@ -138,6 +138,8 @@ def test_disparities_that_lie_far_apart_in_a_wide_range_are_a_note() -> None:
     again = lfgpu.judged(lf, result, disparity_range=bounds, device="cpu", check_cameras=False)
     assert again.notes == result.notes
     assert method_of("fast").doubt(lf.layout, bounds) is None
+    in_metres = replace(lf, positions=lf.positions / 50, grid_shape=None, truth=None)
+    assert "stands 0.028 view steps from" in str(method_of("surest").doubt(in_metres.layout, bounds))
     assert method_of("paper").doubt(lf.layout, bounds) is None
 
 
