@@ -19,7 +19,11 @@ from lfgpu.io.about import KEY, UNKNOWN_IS_NAN, map_about, map_of, parse_about
 from lfgpu.io.damage import check_claim, check_fetched, read_as, require
 from lfgpu.io.folders import head
 
+LINEAR, CUT = "linear colours brought to sRGB", "values brighter than white, more than 1 % of all, cut off"
+UNKNOWN = "pixels that are NaN or infinite taken for transparent"
+
 _MAGIC = b"\x76\x2f\x31\x01"
+_MANY = 0.01  # of the values of a picture, so bright that surfaces may be lost
 _LAYERS = ("", "Combined", "Image", "RGBA", "Depth")  # of Blender
 _MOST_CHANNELS = 100
 _OUTPUTS = threading.Lock()
@@ -57,12 +61,12 @@ def channel(channels: dict[str, NDArray[np.float32]], *names: str) -> NDArray[np
     return None
 
 
-def read_picture(path: Path) -> tuple[NDArray[np.uint16], bool]:
+def read_picture(path: Path) -> tuple[NDArray[np.uint16], set[str]]:
     """Return the colours of an OpenEXR file, linear on [0, 1], by the transfer function of sRGB (IEC 61966-2-1).
 
-    [y, x, c], c = 1 (Y), 3 (R, G, B), and one more for its alpha A, which stays linear, and whether some pixels are NaN
-    or infinite: these are transparent, with an alpha of 0. What is brighter than white is cut off. LightFieldError as
-    `read_channels`, or if it has no such channels, or no finite pixel.
+    [y, x, c], c = 1 (Y), 3 (R, G, B), and one more for its alpha A, which stays linear, and what was converted. Pixels
+    that are NaN or infinite are transparent, with an alpha of 0. What is brighter than white is cut off.
+    LightFieldError as `read_channels`, or if it has no such channels, or no finite pixel.
     """
     channels, _ = read_channels(path)
     planes = [channel(channels, name) for name in "RGB"]
@@ -77,11 +81,13 @@ def read_picture(path: Path) -> tuple[NDArray[np.uint16], bool]:
         raise LightFieldError(f"{path} has no pixel whose values are all finite numbers; render it again.")
     if alpha is None and not known.all():
         values = np.concatenate([values, np.ones_like(values[..., :1])], axis=-1)
-    linear = np.clip(np.where(known[..., None], values, 0.0), 0.0, 1.0)
+    finite = np.where(known[..., None], values, 0.0)
+    linear = np.clip(finite, 0.0, 1.0)
     coded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     if values.shape[-1] in (2, 4):
         coded[..., -1] = linear[..., -1]
-    return np.rint(coded * 65535).astype(np.uint16), not bool(known.all())
+    found = {LINEAR: True, UNKNOWN: not known.all(), CUT: (finite > 1).mean() > _MANY}
+    return np.rint(coded * 65535).astype(np.uint16), {remark for remark, holds in found.items() if holds}
 
 
 @contextmanager

@@ -20,8 +20,6 @@ from lfgpu.io.png import decode_fast
 from lfgpu.io.tiff_pages import MAGICS, check_pages, further_pictures
 
 ALPHA_DROPPED = "alpha channel dropped"
-LINEAR = "linear colours brought to sRGB and cut off at white"
-UNKNOWN = "pixels that are NaN or infinite taken for transparent"
 TURNED = "turned upright as its EXIF orientation says"
 INVERTED = "inverted, as it is stored with white as 0"
 FLOAT64_ROUNDED = "float64 values rounded to float32"
@@ -53,8 +51,8 @@ def read_view(
     """Read an image file, its values as they are stored, upright as its EXIF orientation says.
 
     Returns the image [y, x, c], c = 1 or 3, uint8, uint16 or float32, palettes as colours; bool [y, x], False where it
-    is more transparent than not, None without transparency; and what was converted: `TURNED`, `INVERTED`, `LINEAR`,
-    `UNKNOWN`, `FLOAT64_ROUNDED`. With `finite`, NaN and infinities are refused, but for OpenEXR.
+    is more transparent than not, None without transparency; and what was converted: `TURNED`, `INVERTED`,
+    `FLOAT64_ROUNDED`, and what `read_picture` says. With `finite`, NaN and infinities are refused, but for OpenEXR.
     """
     path = named(path)
     with read_as(path, "an image"):
@@ -106,8 +104,7 @@ def image_size(path: Path) -> tuple[int, int] | None:
 def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
     """Decode an image file to [y, x] or [y, x, c] with c = 1 to 4, in whatever dtype the file has."""
     if path.suffix.lower() == ".exr":
-        picture, unknown = read_picture(path)
-        return picture, {LINEAR, UNKNOWN} if unknown else {LINEAR}
+        return read_picture(path)
     try:
         with pillow.opened(path) as image:
             turn = _UPRIGHT.get(_orientation(image))

@@ -5,7 +5,8 @@ from dataclasses import replace
 from lfgpu.data import LightField
 from lfgpu.data.geometry import UNITS, Geometry
 from lfgpu.errors import LightFieldError
-from lfgpu.io.images import INVERTED, LINEAR, TURNED
+from lfgpu.io.exr import CUT, LINEAR
+from lfgpu.io.images import INVERTED, TURNED
 
 
 def told(light_field: LightField, name: str, *, order: str, transpose: bool, flip: str) -> LightField:
@@ -18,7 +19,7 @@ def told(light_field: LightField, name: str, *, order: str, transpose: bool, fli
         ways = [*(["rows and columns swapped"] if transpose else []), *([f"turned round along {flip}"] if flip else [])]
         places += f"; {', '.join(ways)}, as told"
     notes, valid = light_field.notes, light_field.valid
-    changes = [text for text in (TURNED, INVERTED, LINEAR) if any(text[1:] in note for note in notes)]
+    changes = [text for text in (TURNED, INVERTED, LINEAR, CUT) if any(text[1:] in note for note in notes)]
     seen = "all pixels are valid"
     if valid is not None:
         seen = f"{100 * float(valid.mean()):.1f} % of the pixels are valid, as masks or dark corners say"

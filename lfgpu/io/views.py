@@ -60,7 +60,7 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] |
     for remarks in in_threads(read, range(1, len(files)), most=at_once):
         counts.update(remarks)
     notes = tuple(
-        f"{remark[0].upper()}{remark[1:]} in {often} of {len(files)} views." for remark, often in counts.items()
+        f"{remark[0].upper()}{remark[1:]} in {often} of {len(files)} views." for remark, often in sorted(counts.items())
     )
     if all(mask is None or mask.all() for mask in masks):
         return views.array(), None, notes

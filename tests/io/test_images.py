@@ -12,6 +12,7 @@ from typing import Any
 import imageio.v3 as iio
 import numpy as np
 import pytest
+from fields import write_exr
 from numpy.typing import NDArray
 from PIL import Image
 from samples import HEIGHT, WIDTH, box, picture, refusal, save, save_named
@@ -288,14 +289,13 @@ def test_undefined_values_are_refused_by_file_name(tmp_path: Path, bad: float) -
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 @pytest.mark.parametrize("channels", ["RGB", "RGBA", "Y"])
 def test_undefined_values_of_openexr_are_not_valid(tmp_path: Path, channels: str, bad: float) -> None:
-    exr = pytest.importorskip("OpenEXR")
+    pytest.importorskip("OpenEXR")
 
     def save_exr(column: int, *wrong: Any) -> None:
         planes = {c: picture(ord(c) + column, 1, np.float32)[..., 0].copy() for c in channels}
         planes |= {"A": np.ones((HEIGHT, WIDTH), np.float32)} if "A" in channels else {}
         planes[channels[0]][wrong] = bad
-        with exr.File({"compression": exr.ZIP_COMPRESSION, "type": exr.scanlineimage}, planes) as file:
-            file.write(str(tmp_path / f"0_{column}.exr"))
+        write_exr(tmp_path / f"0_{column}.exr", planes)
 
     save_exr(0, [], [])
     save_exr(1, 2, 3)
@@ -308,6 +308,8 @@ def test_undefined_values_of_openexr_are_not_valid(tmp_path: Path, channels: str
     assert read_image(tmp_path / "0_1.exr")[0][0, 0].min() > 0
     save_exr(1, ...)
     assert "0_1.exr has no pixel whose values are all finite numbers" in refusal(lambda: read(tmp_path))
+    write_exr(tmp_path / "0_1.exr", {c: np.full((HEIGHT, WIDTH), 1.5, np.float32) for c in channels})
+    assert "Values brighter than white, more than 1 % of all, cut off in 1 of 2 views." in read(tmp_path).notes
 
 
 @pytest.mark.parametrize("options", [{}, {"bigtiff": True}, {"byteorder": ">"}, {"compression": "zlib"}])
