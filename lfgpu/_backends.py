@@ -110,7 +110,7 @@ def pick_device(kernels: KernelSet, device: str | None) -> str:
     devices = kernels.devices()
     if device is None:
         return devices[0]
-    wanted = "cuda:0" if device == "cuda" else device
+    wanted = "cuda:0" if str(device) == "cuda" else str(device)  # of PyTorch, too
     if wanted not in devices:
         raise BackendError(
             f"backend {kernels.name!r} finds no device {device!r}; use one of {', '.join(devices)}{_why_not(wanted)}."
