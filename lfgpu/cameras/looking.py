@@ -155,9 +155,11 @@ def _look_without_map(lf: LightField, device: Device) -> Look | None:
 def _made(lf: LightField, points: Points, effort: _Effort, wrong: signs.Signs | None, *, single: bool = True) -> Look:
     """Measure the cameras at some points, and say what stands out; of `single` ones only if that is asked for."""
     cameras = measured(lf, points, steps=effort.steps, colours=effort.colours)
-    tells = wrong is None and len(points.x) >= FEWEST
-    moved = (*(strangers(lf, cameras) if single else ()), *placement(lf, cameras, single=single)) if tells else ()
+    tells = wrong in (None, "uv") and len(points.x) >= FEWEST
+    strange = strangers(lf, cameras) if tells and single else ()
     bright = brightness(lf, cameras, single=single) if tells else ()
+    wrong = None if strange or bright else wrong  # what hides what means nothing in a map of pictures that do not fit
+    moved = (*strange, *placement(lf, cameras, single=single)) if tells and wrong is None else ()
     findings = (*moved, *bright) if wrong is None else (axes(lf, wrong),)
     return Look(
         **vars(cameras),

@@ -174,6 +174,13 @@ def test_a_pair_tells_nothing_of_what_hides_what(flip: str) -> None:
     assert not near_and_far_swapped(pair, lfgpu.estimate_depth(pair, config="fast", check_cameras=False).disparity)
 
 
+def test_a_reference_that_is_too_bright_tells_nothing_of_what_hides_what() -> None:
+    lf = scenes.make("boxes", grid=(5, 5), size=(96, 120))
+    lf.views[12] = (1.6 * lf.views[12].astype(float)).clip(0, 255)
+    (sentence,) = lfgpu.estimate_depth(lf, config="fast").remarks
+    assert "row 2, column 2 is 57 % brighter" in sentence
+
+
 def test_options_that_were_given_are_counted_in(boxes: LightField) -> None:
     wrong = flipped(replace(boxes, truth=None, geometry=None, reading=Reading(flip="uv")), "uv")
     (sentence,) = explained(wrong).findings
