@@ -91,6 +91,9 @@ def test_outputs_and_other_arrays_are_no_inputs(scene_folders: Path, tmp_path: P
     (tmp_path / "result" / "result.npz").write_bytes(b"")
     np.save(tmp_path / "weights.npy", np.zeros((9, 9)))
     np.savez(tmp_path / "calibration.npz", matrix=np.eye(3))
+    (tmp_path / "live.json").write_text('{"frames": []}')
+    (tmp_path / "list.json").write_text("[1]")
+    (tmp_path / "settings.toml").write_text("views = 9")
     assert names(tmp_path) == ["one"]
     (tmp_path / "one" / "result.npz").write_bytes(b"")  # which makes it no less of a light field
     assert names(tmp_path) == ["one"]

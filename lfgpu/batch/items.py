@@ -21,6 +21,7 @@ from lfgpu.io.map_formats import REPORT_FILE
 from lfgpu.io.naming import families
 from lfgpu.io.numbered import frames_of, holds_cameras
 from lfgpu.io.numpy_file import holds_views
+from lfgpu.io.texts import read_json_or_toml
 from lfgpu.printable import printable
 
 MANIFEST_FILE = "manifest.jsonl"
@@ -249,8 +250,11 @@ def recognised(path: Path) -> str | None:
 
 
 def _without_light_field(file: Path) -> bool:
-    """Tell whether a file of a known format says that it holds other things: a focal stack, a depth table."""
+    """Tell whether a file of a known format says that it holds other things: a focal stack, a depth table, a log."""
     try:
+        if recognised(file) == "lightfield-toml":
+            table = read_json_or_toml(file)
+            return not isinstance(table, dict) or not ("source" in table or isinstance(table.get("views"), list))
         return inside(file, format=recognised(file) or "").no_depth is not None
     except LightFieldError:  # damaged: whoever reads it says so
         return False
