@@ -9,6 +9,7 @@ from command_line import RANGE, lfgpu, refused, said
 from PIL import Image
 
 from lfgpu import PRESETS, evaluate, load, point_cloud, read, refocus, render_view, scenes
+from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci
 from tests.made import thorough
 
@@ -96,6 +97,8 @@ def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(cloud.metadata["_ply_raw"]["vertex"]["data"]["disparity"], maps.disparities[2][known])
     assert known.mean() > 0.99
     np.testing.assert_array_equal(cloud.colors[:, :3], read(recorded).views[2][known])
+    with pytest.raises(LightFieldError, match="index of a view must be a whole number from -9 to 8"):
+        maps.map(9)
     # all views' clouds are of one frame: where both see the same, their points are the same
     a, b = (point_cloud(maps.map(n)).points for n in (2, 4))
     distance = np.linalg.norm(b[:, None, :] - a[None, ::7], axis=2).min(0)

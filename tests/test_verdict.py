@@ -3,7 +3,7 @@
 import queue
 from collections.abc import Callable
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -189,5 +189,8 @@ def test_what_is_no_result_cannot_be_judged() -> None:
     lf = scenes.make("boxes", grid=(1, 3), size=(40, 48))
     with pytest.raises(lfgpu.LightFieldError, match="result must be what an estimate returned, found NoneType"):
         lfgpu.judged(lf, None)  # type: ignore[arg-type]
+    for use in (partial(lfgpu.reasons, lf), lfgpu.point_cloud):
+        with pytest.raises(lfgpu.LightFieldError, match=r"result must be what an estimate.* found ndarray"):
+            use(np.zeros((40, 48)))  # type: ignore[operator]
     with pytest.raises(lfgpu.LightFieldError, match="lf must be a LightField, found NoneType"):
         lfgpu.judged(None, None)  # type: ignore[arg-type]

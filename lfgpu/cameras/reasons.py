@@ -11,7 +11,7 @@ from lfgpu._backends import open_device
 from lfgpu.cameras.looking import checked_map
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField, check_light_field
-from lfgpu.data.result import DepthResult
+from lfgpu.data.result import DepthResult, check_result
 from lfgpu.data.windows import window_mean
 from lfgpu.methods.matching.noise import measured_grain
 
@@ -74,6 +74,7 @@ def reasons(lf: LightField, result: DepthResult) -> NDArray[np.uint8]:
     (64, 80)
     """
     check_light_field(lf)
+    check_result(result)
     disparity = checked_map(lf, result)
     known = np.isfinite(disparity)
     low, high = result.disparity_range

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.contract import Float32Array
 from lfgpu.data.light_field_checks import check_whole
-from lfgpu.data.result import DepthResult, DisparityMap
+from lfgpu.data.result import DepthResult, DisparityMap, check_result
 from lfgpu.errors import LightFieldError
 
 
@@ -74,13 +74,14 @@ def point_cloud(
     Raises
     ------
     LightFieldError
-        If the image is not of the map's size, the step is not >= 1, or no pixel is left.
+        If the result is none, the image is not of the map's size, the step is not >= 1, or no pixel is left.
 
     Examples
     --------
     >>> lfgpu.point_cloud(result, image=lf.image(lf.reference_index)).points.shape
     (5120, 3)
     """
+    check_result(result, DisparityMap)
     check_whole("step", step, 1)
     disparity, every = result.disparity, np.s_[::step, ::step]
     height, width = disparity.shape

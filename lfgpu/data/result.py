@@ -13,6 +13,7 @@ from lfgpu.config import Config
 from lfgpu.contract import Float32Array
 from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
+from lfgpu.errors import LightFieldError
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,3 +204,10 @@ def _map_lines(values: DisparityMap) -> str:
     if values.confidence is not None:
         lines[1] += f"; confidence {np.nanmean(values.confidence):.2f} on average"
     return "\n".join(lines)
+
+
+def check_result(result: object, *others: type) -> None:
+    """Raise LightFieldError unless `result` is what `estimate_depth` returned, or of one of the `others`."""
+    if not isinstance(result, (DepthResult, *others)):
+        a_map = ", or a map: lfgpu.DisparityMap(disparity);" if others else ","
+        raise LightFieldError(f"result must be what an estimate returned{a_map} found {type(result).__name__}.")

@@ -12,6 +12,7 @@ from lfgpu import hooks
 from lfgpu.contract import Float32Array
 from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
+from lfgpu.data.light_field_checks import check_whole
 from lfgpu.data.result import DepthResult, DisparityMap
 from lfgpu.errors import LightFieldError
 
@@ -71,6 +72,7 @@ class ViewsResult(summary.InNotebooks):
 
     def map(self, index: int) -> DisparityMap:
         """Return the map of view `index`, with its metadata."""
+        check_whole("index of a view", index, -len(self.disparities), len(self.disparities) - 1)
         u, v = (float(value) for value in self.positions[index])
         about = self.reference
         return DisparityMap(

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.data import DepthResult, DisparityMap, ViewsResult
 from lfgpu.data.light_field_checks import named
+from lfgpu.data.result import check_result
 from lfgpu.errors import LightFieldError
 from lfgpu.io import exr, image_maps, pfm, ply, results
 from lfgpu.io.atomic import atomic_write
@@ -145,11 +146,7 @@ def save(
     >>> lfgpu.load("result.npz").name
     'boxes'
     """
-    if not isinstance(result, DepthResult | ViewsResult | DisparityMap):
-        raise LightFieldError(
-            f"result must be what an estimate returned, or a map: lfgpu.DisparityMap(disparity); found "
-            f"{type(result).__name__}."
-        )
+    check_result(result, ViewsResult, DisparityMap)
     path = named(path)
     chosen = writable_format(path)
     assert chosen.write is not None  # that is what writable means

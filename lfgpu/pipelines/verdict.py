@@ -24,6 +24,7 @@ from lfgpu.contract import Device, Float32Array, Float64Array
 from lfgpu.data import DepthResult, LightField
 from lfgpu.data.layout import in_pattern
 from lfgpu.data.lightfield import check_light_field
+from lfgpu.data.result import check_result
 from lfgpu.errors import LightFieldError
 from lfgpu.io.brightness import ask_for_white
 from lfgpu.io.contradictions import no_parallax
@@ -120,8 +121,7 @@ def judged(
     ()
     """
     check_light_field(lf)
-    if not isinstance(result, DepthResult):
-        raise LightFieldError(f"result must be what an estimate returned, found {type(result).__name__}.")
+    check_result(result)
     found = verdict_of(
         lf,
         result,
