@@ -40,6 +40,8 @@ def test_a_range_with_the_scene(lf: LightField) -> None:
     for given in ((low, high), (low - 1, high + 1), (low - 20, high + 20), (low, (low + 2 * high) / 3), None):
         assert judged(lf, result, disparity_range=given).notes == ()
     assert views_alone(lf, WHERE) == ((), ())
+    ramp = np.broadcast_to(np.linspace(0, 255, 90).astype(np.uint8), (3, 3, 72, 90))  # a look says its views are off
+    assert views_alone(LightField.from_grid(ramp), WHERE) == ((), ())
 
 
 def test_the_map_of_a_pipeline_says_so_itself(lf: LightField) -> None:

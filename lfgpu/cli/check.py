@@ -64,21 +64,22 @@ def _show(console: Console, lf: LightField, found: Explanation) -> None:
     from lfgpu.reports import facts
 
     predicted = 100 * float(np.delete(found.predicted, found.reference).mean())
-    darkest, brightest = 100 * np.nanmin(found.brightness), 100 * np.nanmax(found.brightness)
-    turned, scaled = _rms(found.rotation), 100 * _rms(found.scale)
-    shown.heading(console, lf.name)
-    shown.lines(
-        console,
-        [
-            ("views", facts.views(lf)),
-            ("predicted", f"{found.mean_psnr:.1f} dB PSNR over {predicted:.0f} % of the pixels of the other views"),
-            ("points", f"{found.points}, with texture, on smooth surfaces"),
+    rows = [
+        ("views", facts.views(lf)),
+        ("predicted", f"{found.mean_psnr:.1f} dB PSNR over {predicted:.0f} % of the pixels of the other views"),
+        ("points", f"{found.points}, with texture, on smooth surfaces"),
+    ]
+    if np.isfinite(found.misalignment):  # else too few points say anything of cameras
+        darkest, brightest = 100 * np.nanmin(found.brightness), 100 * np.nanmax(found.brightness)
+        turned, scaled = _rms(found.rotation), 100 * _rms(found.scale)
+        rows += [
             ("shifts", f"{found.misalignment:.3f} px rms, standard error {_rms(found.shift_error):.3f} px"),
             ("rotations", f"{turned:.4f} degrees rms, standard error {_rms(found.rotation_error):.4f} degrees"),
             ("scales", f"{scaled:.4f} % rms, standard error {100 * _rms(found.scale_error):.4f} %"),
             ("brightness", f"{darkest:.1f} % to {brightest:.1f} % of the reference"),
-        ],
-    )
+        ]
+    shown.heading(console, lf.name)
+    shown.lines(console, rows)
     shown.heading(console, "What stands out")
     shown.lines(
         console, [("finding", sentence) for sentence in found.findings] or [("nothing", "the views fit together.")]

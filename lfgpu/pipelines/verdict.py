@@ -169,6 +169,8 @@ def verdict_of(
 
 def views_alone(lf: LightField, device: Device) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Judge a light field without a map: notes on the views, and remarks on all cameras together."""
+    if no_parallax(lf) is not None:  # which its own notes say
+        return (), ()
     try:
         find_disparity_range(lf, device)
     except LightFieldError:

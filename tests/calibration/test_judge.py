@@ -294,6 +294,9 @@ def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:
     result = command("check", tmp_path / "lf", tmp_path / "map.pfm")
     assert (result.code, "row 0, column 3" in result.out) == (0, True), result
     refused(command("check", tmp_path / "lf", tmp_path / "nothing.pfm"), "nothing.pfm")
+    write_hci(boxes.crop(slice(9), slice(9)), tmp_path / "tiny")
+    result = command("check", tmp_path / "tiny", "--disparity-range=-1,1")
+    assert ("nothing can be" in result.out, "nan" in result.out) == (True, False), result
 
 
 def test_noise_draws_no_view_between_its_pixels(rng: np.random.Generator) -> None:
