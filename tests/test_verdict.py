@@ -20,6 +20,7 @@ from lfgpu.calibration import Misalignment, disturb
 from lfgpu.data import DepthResult, LightField
 from lfgpu.io import write_hci
 from lfgpu.methods import PresetName, method_of, preset
+from lfgpu.pipelines.verdict import Verdict
 from lfgpu.viewer.solving import Request, Solver
 
 Said = tuple[tuple[str, ...], tuple[str, ...]]
@@ -139,7 +140,7 @@ def test_disparities_that_lie_far_apart_in_a_wide_range_are_a_note() -> None:
     assert again.notes == result.notes
     assert method_of("fast").doubt(lf.layout, bounds) is None
     in_metres = replace(lf, positions=lf.positions / 50, grid_shape=None, truth=None)
-    assert "stands 0.028 view steps from" in str(method_of("surest").doubt(in_metres.layout, bounds))
+    assert "stands 0.028 view steps from" in Verdict().on(in_metres, result).notes[0]
     assert method_of("paper").doubt(lf.layout, bounds) is None
 
 

@@ -38,6 +38,7 @@ _END = 1e-3  # of the width of the range: distance from an end within which a pi
 _LEAST_SHARED = 0.25  # of the narrower range; the found one has margins, and outliers may widen it
 _NOTHING = 0.1  # the most confidence where views show nothing
 _UNSURE = 0.95  # of the pixels: a map is doubted if so many are not more confident than that
+_NEAREST = 0.9  # view steps: where all cameras stand nearer, positions have another unit, and tuned numbers do not hold
 _SAMPLES = 128  # along each side of a map
 
 _SHOW_NOTHING = (
@@ -69,7 +70,13 @@ class Verdict:
             result = trusted(lf, result, self.cameras)
         own = map_notes(result.disparity, result.confidence, result.disparity_range)
         coarse = method_of(result.config).doubt(lf.layout, result.disparity_range)
-        said = dict.fromkeys((asked, self.note, coarse, *result.notes))
+        unit = None
+        if (farthest := float(np.hypot(*lf.offsets.T).max())) < _NEAREST:
+            unit = (
+                f"The farthest camera stands {farthest:.2g} view steps from the reference, so the map and its "
+                "confidence may be wrong: positions are in units of the distance of neighbours, which is baseline_m."
+            )
+        said = dict.fromkeys((asked, self.note, unit, coarse, *result.notes))
         earlier = [note for note in said if note is not None and note not in own]
         return replace(result, notes=(*earlier, *own))
 

@@ -29,7 +29,6 @@ from lfgpu.methods.measured import Measured, Shown, checked_range, exposure_of
 from lfgpu.methods.temporal_prior import TemporalPrior
 
 _REDUCED = 3  # pixels of reduced views on which a pixel depends: by differences and by interpolation
-_NEAREST = 0.9  # view steps: where all cameras stand nearer, positions have another unit, and tuned numbers do not hold
 _PATHS = 60  # pixels at the edge of a tile from which semi-global matching learns where its paths come from
 
 
@@ -87,11 +86,6 @@ class Matching(Method[MatchingConfig]):
 
     def doubt(self, layout: ViewLayout, bounds: tuple[float, float]) -> str | None:
         config, offsets = self.config.sweep, layout.offsets[self.used_views(layout.offsets)]
-        if (farthest := max(math.hypot(*place) for place in offsets)) < _NEAREST:
-            return (
-                f"The farthest camera stands {farthest:.2g} view steps from the reference, so the map and its "
-                "confidence may be wrong: positions are in units of the distance of neighbours, which is baseline_m."
-            )
         # A preset with two maps is limited if both are; then the sentence on its sweeps has more to advise.
         for is_network in sorted({sweep.aggregation == "learned" for sweep in sweeps_of(self.config)}, reverse=True):
             if is_network:
