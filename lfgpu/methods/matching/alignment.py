@@ -10,6 +10,7 @@ from lfgpu.contract import Array, Scalar
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.base import Callback
 from lfgpu.methods.matching.frame import Frame
+from lfgpu.solvers.solution import Solution
 
 _SUREST = 0.02  # pixels in the farthest view: no map is better than this
 _BESIDE = 1  # pixels beside an edge in another view where both sides are mixed: they are left out
@@ -93,9 +94,21 @@ class Alignment:
         kernels.axpby(1.0, self._certainty, -tuning.still, self._prior.ones, workspace)
         kernels.dot(workspace, self._prior.ones, self.trust)
 
-    def trace(self) -> tuple[float, ...]:
-        """Compute the root mean square of each step, pixels per view step; waits for the device."""
-        return tuple(map(self._size_of, self.moves))
+    def solution(self, noise: float) -> Solution:
+        """Report the outcome; the trace is the root mean square of each step, pixels per view step.
+
+        It has converged if its last step stays nearer to the compared disparity than halfway to the next one: a step
+        is right only near the surface that was matched. `noise` is that between the views, intensity.
+        """
+        trace, halfway = tuple(map(self._size_of, self.moves)), self._frame.disparities.step / 2
+        return Solution(
+            converged=trace[-1] <= halfway,
+            status=f"Noise between views: {noise:.2g} of full intensity. The last step of the alignment moved "
+            f"pixels by {trace[-1]:.2g} px (rms); compared disparities are {2 * halfway:.2g} px apart.",
+            iterations=len(trace),
+            evaluations=len(trace),
+            trace=trace,
+        )
 
     def put_back(self, matched: Array, map_: Array) -> None:
         """Return the pixels of a map to where they were matched, if they are farther than the reach from there.

@@ -7,8 +7,6 @@ whose colour it has, and fills surfaces without texture from those around them.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from lfgpu.contract import Array, Device, Float32Array
@@ -25,8 +23,7 @@ from lfgpu.methods.matching.frame import Frame
 from lfgpu.methods.matching.judging import kind_of
 from lfgpu.methods.matching.noise import in_units_of, noise_of_views, smoothing_deviation
 from lfgpu.methods.matching.passes import Sweeps, follow, sweeps_of
-from lfgpu.methods.matching.tuning import in_wide_ranges
-from lfgpu.methods.matching.views import are_around, chosen_views
+from lfgpu.methods.matching.views import chosen_views
 from lfgpu.methods.measured import Measured
 from lfgpu.solvers.solution import Solution
 
@@ -39,21 +36,15 @@ class MatchingPlan:
     """True if views may come with masks that the layout does not have, and maps are compared with those before."""
 
     def __init__(self, layout: ViewLayout, measured: Measured, config: MatchingConfig, device: Device) -> None:
-        kind = kind_of(config.sweep.resweeps)
-        chosen = chosen_views(layout, measured.disparity_range, config.sweep)
-        if chosen.is_wide:
-            config = replace(config, tuning=in_wide_ranges(config.tuning))
-        if not are_around(chosen.compared.offsets):  # a widened surface would hide what no view shows beside it
-            config = replace(config, sweep=replace(config.sweep, resweeps=min(config.sweep.resweeps, 1)))
-        self._given, self._exposure = config, measured.exposure
+        kind, bounds, self._exposure = kind_of(config.sweep.resweeps), measured.disparity_range, measured.exposure
+        chosen = chosen_views(layout, bounds, config.sweep)
+        self._given = chosen.adapt(config)
         self._config = config = self._in_units(measured)
         # What unknown pixels hold does not follow, and streams keep what they measured first.
         follows = layout.masks is None and not self.is_live and follow(sweeps_of(config))
         self._arena = arena = Arena(device, follows=follows)
         self._kernels, deviation = device.kernels, smoothing_deviation(measured.grain, config.sweep)
-        self._frame = frame = Frame(
-            arena, chosen, measured.disparity_range, config, deviation=deviation, masked=self.is_live
-        )
+        self._frame = frame = Frame(arena, chosen, bounds, config, deviation=deviation, masked=self.is_live)
         self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
         self.trust = self._alignment.trust
         """A number on the device: 0 if the last run found no estimate."""
@@ -73,8 +64,8 @@ class MatchingPlan:
     def _in_units(self, measured: Measured) -> MatchingConfig:
         """Return the parameters in units of a measured noise."""
         assert measured.noise is not None  # this method measures it
+        # Root mean square difference between views that agree, intensity.
         self.noise = noise_of_views(measured.noise, measured.grain, self._given.sweep)
-        """The root mean square difference between views that agree, intensity."""
         return in_units_of(measured.noise, self._given, grain=measured.grain, exposure=measured.exposure)
 
     def follow(self, measured: Measured) -> bool:
@@ -111,20 +102,8 @@ class MatchingPlan:
         return {name: self._frame.known.on_host(map_) for name, map_ in found.items()}
 
     def solution(self) -> Solution:
-        """Report the outcome of the alignment; the trace is the root mean square of each step, pixels per view step.
-
-        It has converged if its last step stays nearer to the compared disparity than halfway to the next one: a step
-        is right only near the surface that was matched.
-        """
-        trace, halfway = self._alignment.trace(), self._frame.disparities.step / 2
-        return Solution(
-            converged=trace[-1] <= halfway,
-            status=f"Noise between views: {self.noise:.2g} of full intensity. The last step of the alignment moved "
-            f"pixels by {trace[-1]:.2g} px (rms); compared disparities are {2 * halfway:.2g} px apart.",
-            iterations=len(trace),
-            evaluations=len(trace),
-            trace=trace,
-        )
+        """Report the outcome of the alignment; waits for the device."""
+        return self._alignment.solution(self.noise)
 
     def features(self) -> dict[str, Float32Array]:
         """Copy the maps on which the confidence of the last run depends to the host, float32 [y, x] by name."""
@@ -139,7 +118,6 @@ class MatchingPlan:
         self._sweeps.first(self._swept)
 
     def _load(self, views: Array) -> None:
-        """Take all views [n, y, x, c] of a frame, as stored."""
         self._frame.load(views)
         self._alignment.load()
 

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lfgpu.contract import Float64Array
 from lfgpu.data.layout import ViewLayout, in_pattern
-from lfgpu.methods.matching.config import SweepConfig
+from lfgpu.methods.matching.config import MatchingConfig, SweepConfig
 from lfgpu.methods.matching.disparities import compared_reach
+from lfgpu.methods.matching.tuning import in_wide_ranges
 
 ViewRule = Callable[[ViewLayout, str], list[int]]
 """Chooses views of a layout, given `sweep.views`: indices in order, the reference among them."""
@@ -80,6 +81,14 @@ class ChosenViews:
     def is_wide(self) -> bool:
         """True if the range is so wide that sweeps compare views near the reference only."""
         return self.reach < self.used.farthest
+
+    def adapt(self, config: MatchingConfig) -> MatchingConfig:
+        """Return the parameters for these views: in a wide range, and where the views lie to one side."""
+        if self.is_wide:
+            config = replace(config, tuning=in_wide_ranges(config.tuning))
+        if not are_around(self.compared.offsets):  # a widened surface would hide what no view shows beside it
+            config = replace(config, sweep=replace(config.sweep, resweeps=min(config.sweep.resweeps, 1)))
+        return config
 
 
 def chosen_views(layout: ViewLayout, bounds: tuple[float, float], config: SweepConfig) -> ChosenViews:
