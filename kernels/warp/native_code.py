@@ -70,8 +70,10 @@ def _assembled(file: str, name: str, numbers: dict[str, Any]) -> str:
         if re.search(rf"\b{part.name}\b", text):
             text = part.text + text
     defined = "".join(f"#define {number} {_written(value)}\n" for number, value in numbers.items())
-    fused = "#pragma clang fp contract(fast)\n" if file.endswith(".h") else ""  # as GPUs do products and sums anyway
-    return f"\n{fused}{defined}{text}" + "".join(f"#undef {number}\n" for number in numbers)
+    code = f"\n{defined}{text}" + "".join(f"#undef {number}\n" for number in numbers)
+    if file.endswith(".cuh"):
+        return code
+    return f"\n{{\n#pragma clang fp contract(fast)\n{code}}}\n"  # as GPUs do products and sums anyway
 
 
 def _written(value: Any) -> str:
