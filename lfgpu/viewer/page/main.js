@@ -219,10 +219,14 @@ const thumbnails = new Thumbnails($("thumbnails"), () => ({ lf: lf(), current: u
 const offsetOf = (pane) => (pane === "left" && !isOfReference() ? cameraPlace() : [0, 0]);
 const here = (x, y, [du, dv]) => ({ x, y, du, dv, result: ui.result, stage: ui.stage, other: ui.other, of: state.revision });
 
+let choices = 0;
+
 /** Choose the point that a pixel of a view shows; `keep` is the coordinate that stays as it is (an EPI has only one). */
 async function choose(x, y, offset, keep = -1) {
+  const choice = ++choices;
   return orTell(async () => {
     const found = await values("at", here(x, y, offset));
+    if (choice !== choices) return null; // the answer to a later choice may have come before
     if (!found.pixel) {
       tell("No pixel of the map is seen there: choose another place, or choose it in the reference view.");
       return found;
