@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from lfgpu.data import DepthResult, LightField
     from lfgpu.pipelines.resident import Resident
 
-_PREVIEW = 250_000  # pixels at most of the pictures for the page, such as 577 x 433
+_PREVIEW = 512 * 512  # pixels at most of the pictures for the page
 _MEMORY = "out of memory; use fewer views (--views cross), smaller ones, or fewer workers."
 
 

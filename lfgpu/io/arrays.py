@@ -10,9 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data import LightField
+from lfgpu.data.mapping import is_mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax
 from lfgpu.io.damage import naming
+from lfgpu.io.disk import wanted_on_disk
+from lfgpu.io.grid import needed_of
 from lfgpu.io.images import FLOAT64_ROUNDED, opaque
 
 ASK_FOR_GRID = "say how they stand: grid=(rows, columns), --grid ROWSxCOLUMNS on the command line"
@@ -131,7 +134,7 @@ def _check_colours(path: Path, array: NDArray[Any], axes: str) -> None:
         return
     view = array.reshape(-1, *array.shape[-3:])[len(array) // 2]
     no_alpha = view.shape[-1] in (2, 4) and not _is_mask(view[..., -1])
-    if no_alpha or parallax.are_views([parallax.grey(view[..., [k]]) for k in range(view.shape[-1])]):
+    if no_alpha or parallax.are_views([parallax.grey(view[..., k : k + 1]) for k in range(view.shape[-1])]):
         raise LightFieldError(
             f"{path}: what are the {view.shape[-1]} colours of each view in the usual order of axes, {axes}, look like "
             f"views; say the order with --axes, such as {axes.replace('n', 'v').replace('c', 'u')} (axes= in Python), "
@@ -205,7 +208,7 @@ def grid_field(
 ) -> LightField:
     """Make a light field of a full grid [v, u, y, x, c]; `valid` is [v, u, y, x].
 
-    Views of which nothing is valid are left out, with a note.
+    Views of which nothing is valid are left out, with a note, and those of a mapped array that are not needed.
     """
     if grid.ndim != 5 or 0 in grid.shape:
         raise LightFieldError(f"{path} holds an array of shape {grid.shape}; views must be [v, u, y, x, c].")
@@ -213,13 +216,21 @@ def grid_field(
     if seen is not None:
         valid = seen if valid is None else valid & seen
     shape = (int(views.shape[0]), int(views.shape[1]))
-    views = np.ascontiguousarray(views).reshape(-1, *views.shape[2:])
+    where, centre = positions(shape), (shape[0] // 2) * shape[1] + shape[1] // 2
+    valid = None if valid is None else valid.reshape(-1, *views.shape[2:4])
+    if is_mapped(views) and not wanted_on_disk():
+        kept = needed_of(where - where[centre])
+        views = np.stack([views[divmod(index, shape[1])] for index in kept])
+        valid = None if valid is None else valid[kept]
+        where, centre = where[kept], list(kept).index(centre)
+    else:
+        views = np.ascontiguousarray(views).reshape(-1, *views.shape[2:])
     return field_of(
         path,
         views,
-        positions(shape),
-        valid=None if valid is None else valid.reshape(views.shape[:3]),
-        reference=(shape[0] // 2) * shape[1] + shape[1] // 2,
+        where,
+        valid=valid,
+        reference=centre,
         grid_shape=shape,
         notes=(*notes, *converted),
         **fields,

@@ -270,10 +270,10 @@ def read(
         are read into memory. Default False.
     needed
         Function of the offsets [n, 2] of all views from the reference, as `LightField.offsets`, that returns the
-        indices of those that are needed, in order and with the reference. Where images are the views of a grid, the
-        files of others are not opened, and the light field lacks them. All are read if those that are needed have
-        masks, use fewer bits than their type or contradict the places of their cameras, and with `order`, `transpose`
-        or `flip`. Default None: all.
+        indices of those that are needed, in order and with the reference. Where images are the views of a grid, or an
+        .npy file holds them, others are not read, and the light field lacks them. All are read if those that are needed
+        have masks, use fewer bits than their type or contradict the places of their cameras, and with `order`,
+        `transpose` or `flip`. Default None: all.
 
     Returns
     -------

@@ -34,8 +34,24 @@ _PART: ContextVar[Part | None] = ContextVar("views that are read", default=None)
 
 
 def in_part(needed: Needed | None) -> AbstractContextManager[Part]:
-    """Have readers of grids in this block leave out the files of views that are not needed; None: all are needed."""
+    """Have readers of grids in this block leave out the views that are not needed; None: all are needed."""
     return within(_PART, Part(needed))
+
+
+def reads_in_part() -> bool:
+    """Tell whether a reader is asked to leave out views that are not needed."""
+    part = _PART.get()
+    return part is not None and part.needed is not None
+
+
+def needed_of(offsets: NDArray[np.float64]) -> Sequence[int] | NDArray[np.intp]:
+    """Choose the views that are needed by their offsets [n, 2] from the reference; all, unless `in_part` says which."""
+    part = _PART.get()
+    if part is None or part.needed is None:
+        return range(len(offsets))
+    kept = part.needed(offsets)
+    part.left_out = len(kept) < len(offsets)
+    return kept
 
 
 _NAMED_HOLES = 5  # so many missing places are named in a message
@@ -74,11 +90,8 @@ def read_grid(
     places = sorted(files)
     hole_notes = holes(places, shape, folder=folder, allow_missing=allow_missing)
     centre = reference or (shape[0] // 2, shape[1] // 2)
-    part = _PART.get()
-    if part is not None and part.needed is not None and centre in files:
-        kept = part.needed(np.subtract(places, centre, dtype=np.float64)[:, ::-1])
-        part.left_out = len(kept) < len(places)
-        places = [places[index] for index in kept]
+    if centre in files:
+        places = [places[index] for index in needed_of(np.subtract(places, centre, dtype=np.float64)[:, ::-1])]
     views, valid, image_notes = load_views([files[place] for place in places])
     light_field = LightField(
         views,

@@ -17,6 +17,7 @@ from lfgpu.io.arrays import arranged, field_of, grid_field, storable
 from lfgpu.io.damage import check_claim, check_memory, read_as, reason_of
 from lfgpu.io.disk import wanted_on_disk
 from lfgpu.io.folders import head
+from lfgpu.io.grid import reads_in_part
 
 _ALWAYS_FINE = 1 << 28  # bytes: so much any archive may take unpacked
 _PACKED = 50  # times smaller than the arrays in it is an archive of maps at most; ours are not packed at all
@@ -60,11 +61,10 @@ def _file(path: Path) -> NDArray[Any]:
     with path.open("rb") as file:
         shape, dtype, fortran = header(path, file)
         size = dtype.itemsize * math.prod(int(side) for side in shape)
-        on_disk = wanted_on_disk() and size > 0
-        check_claim(path, shape, dtype, in_memory=not on_disk)
+        check_claim(path, shape, dtype, in_memory=not wanted_on_disk())
         if size > path.stat().st_size - file.tell():
             raise EOFError
-        if on_disk:
+        if size > 0 and (wanted_on_disk() or reads_in_part()):
             return mapped(file, shape, dtype, offset=file.tell(), fortran=fortran)
         file.seek(0)
         return np.asarray(np.lib.format.read_array(file, allow_pickle=False))

@@ -244,9 +244,9 @@ def are_views(planes: Sequence[NDArray[np.float64]]) -> bool:
 
 def grey(picture: NDArray[Any]) -> NDArray[np.float64]:
     """Return a picture [y, x, c] as grey of about 160 pixels, on [0, 1]."""
-    scale = 1.0 if picture.dtype.kind == "f" else float(np.iinfo(picture.dtype).max)
+    scale = 1.0 if picture.dtype.kind == "f" else 1 / float(np.iinfo(picture.dtype).max)
     with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused later
-        return shrunk(mean_of_channels(picture, np.float64) / scale, max(1, max(picture.shape) // AROUND))
+        return _shrunk_grey(picture, scale, max(1, max(picture.shape) // AROUND))
 
 
 def best_order(found: Moves, shapes: Sequence[tuple[int, int]]) -> str | None:
@@ -279,7 +279,11 @@ def fit(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
 
 def grey_of(light_field: LightField, index: int, factor: int) -> NDArray[np.float64]:
     """Return a view [y, x], grey and `factor` times smaller, in [0, 1]."""
-    view = light_field.views[index]
+    return _shrunk_grey(light_field.views[index], light_field.scale, factor)
+
+
+def _shrunk_grey(view: NDArray[Any], scale: float, factor: int) -> NDArray[np.float64]:
+    """Return a picture [y, x, c] times `scale` [y, x], grey and `factor` times smaller."""
     height, width, channels = view.shape
     if 1 < factor <= _EXACT and view.dtype == np.uint8:  # exact sums of whole numbers take a third of the time
         few, wide = height // factor, width // factor * factor
@@ -288,8 +292,8 @@ def grey_of(light_field: LightField, index: int, factor: int) -> NDArray[np.floa
         colours = np.moveaxis(sums.reshape(few, width, channels)[:, :wide], -1, 0)
         grey = sum(colours, np.zeros((few, wide), np.float32))
         total = sum(grey[:, k::factor] for k in range(factor))
-        return np.asarray(total, np.float64) * (light_field.scale / (channels * factor**2))
-    return shrunk(mean_of_channels(view, np.float64) * light_field.scale, factor)
+        return np.asarray(total, np.float64) * (scale / (channels * factor**2))
+    return shrunk(mean_of_channels(view, np.float64) * scale, factor)
 
 
 def shrunk(image: NDArray[np.float64], factor: int) -> NDArray[np.float64]:

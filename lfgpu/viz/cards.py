@@ -20,8 +20,8 @@ from lfgpu.viz.scales import ERRORS, scale_limits
 MOST_PIXELS = 500_000
 """Pixels of a picture in a page: larger ones are scaled down, so that the page stays at a few MB."""
 
-SAVING: dict[str, dict[str, Any]] = {"JPEG": {"quality": 88}, "PNG": {"optimize": True}}
-"""Options of Pillow by the name of the format."""
+SAVING: dict[str, dict[str, Any]] = {"JPEG": {"quality": 88}, "PNG": {"compress_level": 4}}
+"""Options of Pillow by the name of the format. Level 4 takes a sixth of the time of the best, for 6 % more bytes."""
 
 _SHARP = 480  # pixels: pictures whose longer side is shorter are enlarged in sharp squares
 _STOPS = 17

@@ -11,6 +11,7 @@ from samples import box, picture, refusal, save, save_hci, save_named
 
 from lfgpu import estimate_depth, scenes
 from lfgpu.data.layout import in_pattern
+from lfgpu.data.mapping import is_mapped
 from lfgpu.io import load, read, write_hci
 from lfgpu.methods import method_of, preset
 from lfgpu.pipelines.verdict import needed_views
@@ -46,6 +47,49 @@ def test_the_part_is_that_of_all_views(made: Callable[[Path], Path], tmp_path: P
     np.testing.assert_array_equal(part.positions, expected.positions)
     for name in ("reference", "grid_shape", "files", "geometry", "notes", "reading", "name"):
         assert getattr(part, name) == getattr(expected, name), name
+
+
+def grid_of(rows: int, columns: int, channels: int) -> NDArray[np.uint8]:
+    return np.random.default_rng(rows).integers(0, 256, (rows, columns, 20, 24, channels), np.uint8)
+
+
+@pytest.mark.parametrize(
+    ("array", "options"),
+    [
+        (grid_of(5, 5, 3), {}),
+        (grid_of(5, 6, 1)[..., 0], {}),
+        (grid_of(5, 4, 3).reshape(20, 20, 24, 3), {"grid": (5, 4)}),
+        (np.asfortranarray(grid_of(5, 5, 3)), {}),
+        (grid_of(5, 5, 3).transpose(2, 3, 0, 1, 4), {"axes": "yxvuc"}),
+        (grid_of(5, 5, 3).astype(">u2"), {}),
+        (grid_of(5, 5, 3) / np.float32(255), {}),
+    ],
+    ids=["uint8", "grey", "one after the other", "fortran", "other axes", "big-endian", "float32"],
+)
+def test_the_part_of_an_array_is_that_of_all_views(array: NDArray, options: dict[str, object], tmp_path: Path) -> None:
+    file = tmp_path / "views.npy"
+    np.save(file, array)
+    part, expected = read(file, needed=cross, **options), read(file, **options).subset("cross")
+    assert is_mapped(read(file, needed=cross, lazy=True, **options).views) == is_mapped(
+        read(file, lazy=True, **options).views
+    )
+    file.write_bytes(b"gone")  # views are in memory
+    if array.dtype != ">u2":  # which is converted whole
+        assert len(part.views) < 20
+    np.testing.assert_array_equal(part.subset("cross").views, expected.views)
+    np.testing.assert_array_equal(part.subset("cross").positions, expected.positions)
+    for name in ("grid_shape", "geometry", "notes", "reading", "name"):
+        assert getattr(part, name) == getattr(expected, name), name
+
+
+def test_an_array_with_masks_is_read_whole(tmp_path: Path) -> None:
+    array = np.concatenate([grid_of(5, 5, 3), np.full((5, 5, 20, 24, 1), 255, np.uint8)], axis=-1)
+    array[2, 1, 0, 0, 3] = 0
+    np.save(tmp_path / "views.npy", array)
+    part, expected = read(tmp_path / "views.npy", needed=cross), read(tmp_path / "views.npy")
+    np.testing.assert_array_equal(part.views, expected.views)
+    np.testing.assert_array_equal(part.valid, expected.valid)
+    assert part.notes == expected.notes
 
 
 def test_a_file_is_opened_only_if_it_is_needed_and_noticed_wherever_it_is_missing(tmp_path: Path) -> None:
