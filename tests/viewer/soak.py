@@ -22,6 +22,8 @@ from tests.viewer.page import Page
 SLACK = 48.0
 """Megabytes by which the memory of the last quarter may be above that of the second one."""
 
+_CLOSING = 10  # seconds that a browser under load takes to close the connections of a tab, at most
+
 
 class Sample(NamedTuple):
     """What the process of the viewer holds while no tab is open."""
@@ -37,6 +39,14 @@ def sample() -> Sample:
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     held = pages * os.sysconf("SC_PAGE_SIZE") / 2**20
     return Sample(held, len(list(Path("/proc/self/fd").iterdir())), threading.active_count())
+
+
+def settled(before: list[Sample]) -> Sample:
+    """Look at this process when it holds no more than ever before, or later: connections are closed by and by."""
+    end, most = monotonic() + _CLOSING, np.max(before or [(np.inf,) * 3], axis=0)
+    while (np.array(found := sample()) > most)[1:].any() and monotonic() < end:
+        sleep(0.1)
+    return found
 
 
 def use(page: Page, number: int) -> None:
@@ -66,7 +76,7 @@ def soak(browser: Any, seconds: float, reopenings: int) -> list[Sample]:
             until = begin + seconds * (number + 1) / reopenings
             while viewer._server.tabs or monotonic() < until:
                 sleep(0.05)
-            found.append(sample())
+            found.append(settled(found))
     return found
 
 
