@@ -209,7 +209,8 @@ def contradiction(light_field: LightField) -> str | None:
     near = np.argsort(np.abs(light_field.offsets).sum(1), kind="stable")[1 : 2 * _STEPS + 1]
     chosen = sorted({int(n) for n in near} | {n for axis in (0, 1) if (n := beside(light_field, axis)) is not None})
     centre = grey_of(light_field, light_field.reference_index, factor)
-    found = moves([Pair(centre, grey_of(light_field, n, factor)) for n in chosen])
+    is_pair = len(light_field.views) == 2  # one that is out of line may look like one of another line
+    found = moves([Pair(centre, grey_of(light_field, n, factor), may_be_offset=is_pair) for n in chosen])
     if found is None:
         return None
     offsets = light_field.offsets[chosen]

@@ -62,12 +62,14 @@ class Pair:
 
     a: NDArray[np.float64]
     b: NDArray[np.float64]
+    may_be_offset: bool = False
+    """True if the pictures may be offset as a whole: then only what differs from place to place is motion."""
     _flows: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = field(default_factory=dict)
 
     def flow(self, factor: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the `_flow` between the pictures, so many times smaller."""
         if factor not in self._flows:
-            self._flows[factor] = _flow(shrunk(self.a, factor), shrunk(self.b, factor))
+            self._flows[factor] = _flow(shrunk(self.a, factor), shrunk(self.b, factor), without_mean=self.may_be_offset)
         return self._flows[factor]
 
 
@@ -101,7 +103,9 @@ def _moves(pairs: Sequence[Pair], factor: int) -> Moves:
     return Moves(vectors, float(values[0] ** 2 / total), float(rms), shares)
 
 
-def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _flow(
+    a: NDArray[np.float64], b: NDArray[np.float64], *, without_mean: bool
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the motion (x, y) of blocks [y, x, 2] between pictures, pixels, and how well each of them shows it."""
     by_y, by_x = np.gradient(((a + b) / 2).astype(np.float32))
     change = b - a
@@ -113,6 +117,10 @@ def _flow(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.fl
         np.multiply(one, other, out=product)
     xx, xy, yy, xt, yt = shrunk(products, _BLOCK).astype(np.float64)
     floor = 1e-2 * (xx + yy).mean() + 1e-12
+    if without_mean:
+        normal = np.array([[xx.mean() + floor, xy.mean()], [xy.mean(), yy.mean() + floor]])
+        mean_x, mean_y = -np.linalg.solve(normal, [xt.mean(), yt.mean()])
+        xt, yt = xt + xx * mean_x + xy * mean_y, yt + xy * mean_x + yy * mean_y
     determinant = (xx + floor) * (yy + floor) - xy * xy
     x = -((yy + floor) * xt - xy * yt) / determinant
     y = -((xx + floor) * yt - xy * xt) / determinant

@@ -20,6 +20,7 @@ from lfgpu.cameras.tones import match_tones
 from lfgpu.data import LightField, Reading
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_hci, write_pfm
+from lfgpu.io.contradictions import contradictions
 from lfgpu.io.flips import flipped
 from tests.made import thorough
 
@@ -196,6 +197,30 @@ def test_a_row_of_cameras_that_stood_in_a_column(boxes: LightField) -> None:
     row = LightField(column.views, column.positions[:, ::-1])
     (sentence,) = lfgpu.explain(row, np.zeros(row.size, np.float32)).findings
     assert "at right angles to the line in which their cameras are said to stand: read it with --transpose." in sentence
+
+
+@pytest.mark.parametrize(("name", "disparity_range"), [("boxes", (-0.5, 0.5)), ("relief", (-1.5, 1.5))])
+def test_a_pair_that_is_out_of_line_is_not_taken_for_one_of_a_column(
+    name: str, disparity_range: tuple[float, float]
+) -> None:
+    def sentence(grid: tuple[int, int], *, off: int) -> str:
+        """Return what is said of a pair whose second picture stands `off` pixels too high."""
+        views = scenes.make(name, grid=grid, size=(96, 128), disparity_range=disparity_range, seed=3).views
+        pair = LightField(np.stack([views[0, : 96 - off], views[1, off:]]), [[0, 0], [1, 0]])
+        against = contradictions(pair)
+        (found,) = lfgpu.explain(pair, lfgpu.estimate_depth(pair, config="fast", check_cameras=False)).findings
+        assert bool(against) == ("--transpose" in found)
+        return found
+
+    assert "out of line by 0.35 px" in sentence((1, 2), off=1)
+    for off in (0, 1):
+        assert "read it with --transpose." in sentence((2, 1), off=off)
+
+
+def test_a_column_of_two_cameras_far_apart_is_told() -> None:
+    views = scenes.make("relief", grid=(2, 1), size=(96, 128), disparity_range=(2, 8), seed=3).views
+    pair = LightField(views, [[0, 0], [1, 0]])
+    assert explained(pair).signs == "transposed"
 
 
 def test_views_without_cameras_to_judge(boxes: LightField) -> None:
