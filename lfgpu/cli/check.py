@@ -71,13 +71,20 @@ def _show(console: Console, lf: LightField, found: Explanation) -> None:
     ]
     if np.isfinite(found.misalignment):  # else too few points say anything of cameras
         darkest, brightest = 100 * np.nanmin(found.brightness), 100 * np.nanmax(found.brightness)
-        turned, scaled = _rms(found.rotation), 100 * _rms(found.scale)
-        rows += [
-            ("shifts", f"{found.misalignment:.3f} px rms, standard error {_rms(found.shift_error):.3f} px"),
-            ("rotations", f"{turned:.4f} degrees rms, standard error {_rms(found.rotation_error):.4f} degrees"),
-            ("scales", f"{scaled:.4f} % rms, standard error {100 * _rms(found.scale_error):.4f} %"),
-            ("brightness", f"{darkest:.1f} % to {brightest:.1f} % of the reference"),
-        ]
+        turned, scaled, count = _rms(found.rotation), 100 * _rms(found.scale), len(found.offsets)
+        across = " across their line" * (count == 2)
+        rows.append(
+            ("shifts", f"{found.misalignment:.3f} px rms{across}, standard error {_rms(found.shift_error):.3f} px")
+        )
+        if np.linalg.matrix_rank(np.column_stack([np.ones(count), found.offsets])) < count:
+            rows += [
+                ("rotations", f"{turned:.4f} degrees rms, standard error {_rms(found.rotation_error):.4f} degrees"),
+                ("scales", f"{scaled:.4f} % rms, standard error {100 * _rms(found.scale_error):.4f} %"),
+            ]
+        else:
+            along = "shifts along their line, " * (count == 2)
+            rows.append(("unknown", f"{along}rotations and scales: {count} views cannot tell them from another depth"))
+        rows.append(("brightness", f"{darkest:.1f} % to {brightest:.1f} % of the reference"))
     shown.heading(console, lf.name)
     shown.lines(console, rows)
     shown.heading(console, "What stands out")

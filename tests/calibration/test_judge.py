@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import lfgpu as command, refused
+from command_line import lfgpu as command, refused, said
 from disturbed import displaced, explained, truth, with_view
 from scipy import ndimage
 
@@ -322,6 +323,23 @@ def test_check_on_the_command_line(boxes: LightField, tmp_path) -> None:
     write_hci(boxes.crop(slice(9), slice(9)), tmp_path / "tiny")
     result = command("check", tmp_path / "tiny", "--disparity-range=-1,1")
     assert ("nothing can be" in result.out, "nan" in result.out) == (True, False), result
+
+
+def test_check_does_not_measure_what_so_few_views_cannot_tell(tmp_path: Path) -> None:
+    def shown() -> str:
+        return " ".join(said("check", tmp_path, "--allow-missing").split())
+
+    write_hci(scenes.make("boxes", grid=(2, 2), size=(96, 128), seed=3), tmp_path)
+    of_four = shown()
+    assert ("degrees rms" in of_four, "unknown" in of_four) == (True, False)
+    (tmp_path / "input_Cam003.png").unlink()
+    of_three = shown()
+    assert "degrees rms" not in of_three
+    assert "unknown rotations and scales: 3 views cannot tell them from another depth" in of_three
+    (tmp_path / "input_Cam002.png").unlink()
+    of_two = shown()
+    assert "px rms across their line, standard error" in of_two
+    assert "unknown shifts along their line, rotations and scales: 2 views cannot tell" in of_two
 
 
 def test_noise_draws_no_view_between_its_pixels(rng: np.random.Generator) -> None:
