@@ -1,5 +1,6 @@
 """`lfgpu depth --save`, `convert`, `render`, and `eval` of what they wrote."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -85,6 +86,32 @@ def test_outputs_are_checked_before_anything_is_read(
     tiles = recorded / "input_Cam004.png"
     refused(lfgpu("depth", tiles, "-o", recorded, "--save", tiles.name), "which is the input")
     assert not list(tmp_path.iterdir())
+
+
+def test_views_and_maps_that_are_read_stay(recorded: Path, solved: Path, tmp_path: Path) -> None:
+    rows, truth = tmp_path / "rows", tmp_path / "maps" / "disparity.pfm"
+    for n in range(9):
+        (rows / f"row{n // 3}").mkdir(parents=True, exist_ok=True)
+        shutil.copy(recorded / f"input_Cam{n:03d}.png", rows / f"row{n // 3}" / f"{n % 3}.png")
+    truth.parent.mkdir()
+    shutil.copy(recorded / "gt_disp_lowres.pfm", truth)
+    views = "".join(f'[[views]]\nfile = "{u}.png"\nposition = [{u}, 0]\n' for u in range(3))
+    told = f"{views}[truth]\ndisparity = '../../maps/disparity.pfm'\nposition = [1, 0]\n"
+    description = rows / "row1" / "some.toml"
+    description.write_text(told, encoding="utf-8")
+    shutil.copy(solved / "result.npz", tmp_path / "maps")
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
+    fast = ("--preset", "fast", *RANGE)
+    for command in (
+        ("depth", rows, "-o", rows / "row1", "--save", "0.png", "--views", "column", *fast),
+        ("depth", description, "-o", rows / "row1", "--save", "0.png", *fast),
+        ("depth", description, "-o", truth.parent, *fast),
+        ("render", description, "--view", "0,1", "-o", rows / "row1" / "0.png", *fast),
+        ("convert", solved, "--image", rows, "-o", rows / "row1" / "0.png"),
+    ):
+        refused(lfgpu(*command), "is part of the input: it would be written over")
+    refused(lfgpu("convert", truth.parent, "-o", truth.parent / "result.npz"), "which is the input")
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
 
 def test_convert(recorded: Path, solved: Path, tmp_path: Path) -> None:

@@ -69,7 +69,7 @@ def depth(
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output, remark
-    from lfgpu.cli.outputs import NAMES, check_names, write_outputs, write_saved, write_view_maps
+    from lfgpu.cli.outputs import NAMES, check_names, check_no_inputs, write_outputs, write_saved, write_view_maps
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import RESULT_FILE, atomic_folder, check_writable, read
     from lfgpu.methods.footprint import parse_memory
@@ -87,13 +87,15 @@ def depth(
                 "--max-memory works for the map of one view only; leave out --max-memory or --all-views."
             )
     options = reading.options()
-    if chosen.place() is None and not all_views and not report:
+    replaced = any((out / name).exists() for name in saved or ())  # it may be a view that is not needed
+    if chosen.place() is None and not all_views and not report and not replaced:
         options["needed"] = needed_views(config, chosen.pattern)
     if computing.device is not None or computing.backend != DEFAULT:
         estimation.check_device()  # what was asked for is checked before anything is read
 
     with meanwhile(estimation.prepare):  # imports go on while threads decode files
         lf = read(source, lazy=max_memory is not None, **options)
+    check_no_inputs((out / name for name in (*NAMES, *(saved or ()))), source, lf)
     lf = chosen.of(lf)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)
