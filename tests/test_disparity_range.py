@@ -98,7 +98,7 @@ def test_a_reference_much_brighter_than_the_others_has_none_which_is_named_as_a_
     lf = scenes.make("boxes", grid=(3, 3), size=(96, 128), seed=3)
     dim = (0.4 * lf.views).astype(np.uint8)
     dim[lf.reference_index] = lf.views[lf.reference_index]
-    with pytest.raises(LightFieldError, match="cannot be found.*unequal brightness"):
+    with pytest.raises(LightFieldError, match=r"cannot be found.*unequal brightness"):
         find_disparity_range(replace(lf, views=dim))
 
 

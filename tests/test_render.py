@@ -263,6 +263,10 @@ def test_other_files_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         write_frames(frames(), tmp_path / "a.avi")
     with pytest.raises(LightFieldError, match="frames per second"):
         write_frames(frames(), tmp_path / "a.gif", fps=0)
+    with pytest.raises(
+        LightFieldError, match=r"a\.mp4 cannot be written: its images are 1 px wide or high; write \.gif"
+    ):
+        write_frames([frame[:1] for frame in frames()], tmp_path / "a.mp4")
     for library in ("imageio_ffmpeg", "tifffile"):
         monkeypatch.setitem(sys.modules, library, None)
     with pytest.raises(LightFieldError, match=r"lfgpu\[video\]"):

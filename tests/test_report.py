@@ -17,7 +17,7 @@ import pytest
 from command_line import lfgpu, refused, said
 from PIL import Image
 
-from lfgpu import ViewsResult, explain, scenes, write_report
+from lfgpu import ViewsResult, explain, reasons, scenes, write_report
 from lfgpu.cli.console import comparison, output
 from lfgpu.comparison import Scene, table
 from lfgpu.config import parameters
@@ -417,6 +417,14 @@ def test_light_fields_and_results_show_themselves(lf: LightField) -> None:
     holes = np.full_like(result.disparity, np.nan)
     page = replace(result, disparity=holes)._repr_html_()
     assert all((picture == UNDEFINED).all() for picture in pictures(page)[:2])
+
+
+@pytest.mark.parametrize("part", [np.s_[:1, :], np.s_[:, :1], np.s_[:2, :2]], ids=["row", "column", "four"])
+def test_a_report_of_views_that_are_hardly_larger_than_a_pixel(part: tuple[slice, slice], tmp_path: Path) -> None:
+    lf = scenes.make("boxes", grid=(3, 3), size=(48, 64), seed=3).crop(*part)
+    result = estimate_depth(lf, config="fast", disparity_range=(-1, 1))
+    write_report(tmp_path / "report.html", lf, result)
+    assert reasons(lf, result).shape == lf.size
 
 
 def test_a_report_of_another_view_or_size_is_refused(lf: LightField, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from lfgpu.cameras.looking import checked_map
 from lfgpu.contract import Float32Array
 from lfgpu.data.lightfield import LightField, check_light_field
 from lfgpu.data.result import DepthResult, check_result
-from lfgpu.data.windows import window_mean
+from lfgpu.data.windows import differences, window_mean
 from lfgpu.methods.matching.noise import measured_grain
 
 _WINDOW = 7  # pixels: side of the window in which texture is looked for
@@ -80,7 +80,7 @@ def reasons(lf: LightField, result: DepthResult) -> NDArray[np.uint8]:
     low, high = result.disparity_range
     image = lf.image(lf.reference_index).mean(-1)
     noise = np.hypot(measured_grain(lf, open_device(device="cpu")), _STEP)
-    slopes = [np.square(slope) for slope in np.gradient(image)]
+    slopes = [np.square(differences(image, axis)) for axis in (0, 1)]
     reach = np.square(lf.offsets[:, ::-1]).sum(0)  # along rows and columns of pixels, as `slopes`
     across = sum(window_mean(s, _WINDOW) * r for s, r in zip(slopes, reach / reach.sum(), strict=True))
     seen, error = _compared(lf, np.where(known, disparity, low).astype(np.float32), image)

@@ -37,6 +37,11 @@ def gradient_size(values: NDArray[np.float32]) -> NDArray[np.float32]:
     return np.hypot(*slopes)
 
 
+def differences(values: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Compute the differences per pixel along an axis of an image [y, x]; 0 if it is one pixel long."""
+    return np.gradient(values, axis=axis) if values.shape[axis] > 1 else np.zeros_like(values)
+
+
 def eroded(known: NDArray[np.bool_], times: int) -> NDArray[np.bool_]:
     """Pixels [y, x] from which nothing that is not set, and no border, is `times` steps along the axes away or less."""
     for _ in range(times):

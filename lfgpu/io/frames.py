@@ -96,6 +96,8 @@ def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
     film: Any = imageio.get_writer(path, format="FFMPEG", fps=fps, ffmpeg_log_level="fatal", **coding)
     with film:
         for frame in frames:
+            if min(frame.shape[:2]) < 2:
+                raise LightFieldError(f"{path} cannot be written: its images are 1 px wide or high; write .gif.")
             film.append_data(_colour(frame)[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])
     if not (path.exists() and b"moov" in path.read_bytes()):  # its table of contents, which ffmpeg writes last
         raise OSError(None, "ffmpeg could not finish it; is the disk full?")

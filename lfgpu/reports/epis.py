@@ -9,6 +9,7 @@ from scipy import ndimage
 
 from lfgpu.contract import Float32Array
 from lfgpu.data import LightField
+from lfgpu.data.windows import differences
 from lfgpu.viz.cards import Card, Mark, drawn_card, number
 from lfgpu.viz.panels import rgb
 
@@ -53,7 +54,7 @@ def find_points(lf: LightField, disparity: Float32Array) -> list[Point]:
         jump[:, step:-step] = filled[:, step:-step] - np.minimum(filled[:, : -2 * step], filled[:, 2 * step :])
     else:
         jump[step:-step] = filled[step:-step] - np.minimum(filled[: -2 * step], filled[2 * step :])
-    steep = ndimage.maximum_filter(np.abs(np.gradient(filled, axis=1 if across else 0)), 2 * step + 1)
+    steep = ndimage.maximum_filter(np.abs(differences(filled, 1 if across else 0)), 2 * step + 1)
     edges = inside & whole & (jump * reach > _FLAT) & (steep * reach > _STEEP)
     if edges.any():
         jump = np.minimum(jump, np.quantile(jump[edges], 0.9))  # one outlier is no edge
@@ -112,7 +113,7 @@ def _texture(lf: LightField) -> Float32Array:
     """Measure the texture around each pixel, [y, x]: in both directions where cameras lie in both."""
     grey = lf.image(lf.reference_index).mean(axis=2)
     lines = [axis for axis, line in ((1, lf.row()), (0, lf.column())) if len(line) > 1] or [0, 1]
-    slopes = [ndimage.gaussian_filter(np.gradient(grey, axis=axis) ** 2, _SMOOTH) for axis in lines]
+    slopes = [ndimage.gaussian_filter(differences(grey, axis) ** 2, _SMOOTH) for axis in lines]
     return np.sqrt(np.minimum.reduce(slopes)).astype(np.float32)
 
 
