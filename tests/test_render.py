@@ -245,6 +245,21 @@ def test_films(tmp_path: Path) -> None:
     assert [file.name for file in sorted((tmp_path / "a").iterdir())] == [f"frame_{n:03d}.png" for n in range(3)]
 
 
+def test_a_film_that_the_disk_has_no_room_for_is_refused_in_one_sentence(
+    rng: np.random.Generator, tmp_path: Path
+) -> None:
+    resource = pytest.importorskip("resource")
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    noise = [rng.random((240, 320, 3), np.float32)] * 100
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, limits[1]))
+    try:
+        with pytest.raises(LightFieldError, match=r"a\.mp4 cannot be written: ffmpeg could not .*the disk is full\.$"):
+            write_frames(noise, tmp_path / "a.mp4")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert not any(tmp_path.iterdir())
+
+
 def test_films_do_not_mix(tmp_path: Path) -> None:
     for count in (3, 3):
         write_frames(frames(count), tmp_path / "a")

@@ -98,9 +98,12 @@ def _write_mp4(frames: Iterable[Float32Array], path: Path, fps: float) -> None:
         for frame in frames:
             if min(frame.shape[:2]) < 2:
                 raise LightFieldError(f"{path} cannot be written: its images are 1 px wide or high; write .gif.")
-            film.append_data(_colour(frame)[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])
+            try:
+                film.append_data(_colour(frame)[: len(frame) // 2 * 2, : frame.shape[1] // 2 * 2])
+            except OSError:  # ffmpeg has ended
+                break
     if not (path.exists() and b"moov" in path.read_bytes()):  # its table of contents, which ffmpeg writes last
-        raise OSError(None, "ffmpeg could not finish it; is the disk full?")
+        raise OSError(None, "ffmpeg could not finish it; perhaps the disk is full")
 
 
 _FILMS: dict[str, Callable[[Iterable[Float32Array], Path, float], None]] = {".gif": _write_gif, ".mp4": _write_mp4}
