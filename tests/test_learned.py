@@ -26,7 +26,6 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.learned import BUILT_IN, NETWORK_REACH, VERSION, Network, read_weights
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.methods.measured import Measured
-from lfgpu.pipelines.export import export_pipeline
 from lfgpu.pipelines.resident import KEPT
 from tests.made import masked, thorough
 
@@ -216,9 +215,11 @@ def test_weights_of_a_file_are_used_recorded_and_exported(
     assert kept.config.weights.startswith("weights.npz (SHA-256 ")
     with pytest.raises(LightFieldError, match="a result does not hold them"):
         DepthPipeline(scene, config=kept.config, disparity_range=RANGE)
-    export_pipeline(scene, tmp_path / "cpp", config=theirs.config, disparity_range=RANGE)
-    about = json.loads((tmp_path / "cpp" / "pipeline.json").read_text())
-    assert about["config"]["weights"] == theirs.config.weights
+    write_hci(scene, tmp_path / "frames" / "0")
+    for command, source, record in (("export", "scene", "pipeline.json"), ("live", "frames", "live.json")):
+        assert lfgpu(command, tmp_path / source, "-o", tmp_path / command, "--device", "cpu", *arguments).code == 0
+        about = json.loads((tmp_path / command / record).read_text())
+        assert about["config"]["weights"] == theirs.config.weights
     np.savez(path, **{name: 2 * values for name, values in written[1].items()}, version=VERSION)
     assert configured("learned", path) != theirs.config
     for config in ("accurate", "fast", "paper"):

@@ -15,9 +15,16 @@ from lfgpu.printable import printable
 class _Parameters(Parameters):
     """Options that choose the parameters of a method that can be exported."""
 
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {recordable presets}.")] = (
-        "accurate"
-    )
+    usual = "accurate"
+
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Parameters to start from: {recordable presets}.",
+            show_default="accurate, or learned with --weights",
+        ),
+    ] = None
 
 
 def export(

@@ -34,7 +34,16 @@ _SHOWN_AGAIN = 0.1  # seconds between two frames on the page
 class _Parameters(Parameters):
     """Options that choose the parameters of a method that takes streams."""
 
-    preset: Annotated[str, typer.Option(metavar="NAME", help="Parameters to start from: {live presets}.")] = "accurate"
+    usual = "accurate"
+
+    preset: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Parameters to start from: {live presets}.",
+            show_default="accurate, or learned with --weights",
+        ),
+    ] = None
 
 
 @dataclass(frozen=True)

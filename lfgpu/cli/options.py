@@ -11,7 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, get_type_hints
 
 import typer
 
@@ -219,6 +219,8 @@ class Views:
 class Parameters:
     """Options that choose the parameters of a method."""
 
+    usual: ClassVar[str | None] = None  # preset without --preset and --weights; None for that of lfgpu
+
     preset: Annotated[
         str | None,
         typer.Option(
@@ -247,7 +249,8 @@ class Parameters:
 
     def config(self) -> Config:
         """Return the parameters; LightFieldError if one is wrong or unknown."""
-        return values.configured(self.preset, self.settings or (), self.weights)
+        preset = self.usual if self.preset is None and self.weights is None else self.preset
+        return values.configured(preset, self.settings or (), self.weights)
 
 
 @dataclass(frozen=True)
