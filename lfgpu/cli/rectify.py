@@ -68,7 +68,8 @@ def rectify(
     """Make cameras parallel and alike: undo lenses and rotations, line views up, equalise their brightness.
 
     The output is a light field with masks, which every command reads (lightfield.toml). rectified.npz holds the
-    numbers that lead back to the original pictures.
+    numbers that lead back to the original pictures. For a light field that is read with options, such as --grid,
+    give the description that `lfgpu info --write` writes.
     """
     from lfgpu import calibration as cameras
     from lfgpu.calibration.rectify import DEPTH_FILE, POINTS_FILE

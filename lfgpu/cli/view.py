@@ -42,7 +42,7 @@ def view(
     """Show a light field, its epipolar plane images, maps and points in the browser, and estimate new maps there.
 
     The page is reachable from this machine only, by those who know its address, which has a token. Several maps can be
-    compared. With --format, --grid, --every or --flip, the first INPUT_OR_RESULT is read as the light field. Ctrl-C
+    compared. With an option of reading, such as --grid, the first INPUT_OR_RESULT is read as the light field. Ctrl-C
     ends it.
     """
     from lfgpu.cli import values

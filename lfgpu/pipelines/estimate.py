@@ -32,17 +32,17 @@ def estimate_depth(
 ) -> DepthResult:
     """Estimate the disparity of the reference view of a light field.
 
-    All presets but "paper" use matching: they find the surface on which the views agree, and handle occlusions. The
-    preset "paper" uses synthesis: it finds the map with which the reference view predicts all other views best (Sajjadi
-    et al. 2016).
+    All presets but "paper" and "paper-exact" use matching: they find the surface on which the views agree, and handle
+    occlusions. These two use synthesis: they find the map with which the reference view predicts all other views best
+    (Sajjadi et al. 2016).
 
     Parameters
     ----------
     lf
         The light field; the map is that of its reference view.
     config
-        All parameters, or the name of a preset: "surest", "accurate", "fast", "learned" or "paper". Default None:
-        "surest", or "learned" with weights.
+        All parameters, or the name of a preset: "surest", "accurate", "fast", "learned", "paper" or "paper-exact".
+        Default None: "surest", or "learned" with weights.
     weights
         A file that `lfgpu train` wrote: the weights of the network. Default None: those that lfgpu comes with.
     disparity_range
