@@ -161,7 +161,7 @@ class Reading:
     ] = None
     axes: Annotated[
         str | None,
-        typer.Option(metavar="ORDER", help="Order of the axes of an array, such as yxvuc.", show_default="vuyxc"),
+        typer.Option(metavar="ORDER", help="Order of the axes of an array, such as yxvuc.", show_default="found"),
     ] = None
     unit: Annotated[
         str | None,
