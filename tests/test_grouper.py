@@ -104,7 +104,9 @@ def test_wrong_numbers_and_pictures_are_refused() -> None:
     for name, value, words in (
         ("tolerance", 0.0, "tolerance"),
         ("patience", 0.001, "patience"),
-        ("waiting", 0, "room for a group"),
+        ("tolerance", None, "tolerance must be a number of seconds"),
+        ("waiting", 0, "waiting must be a whole number"),
+        ("cameras", "two", "cameras must be a whole number"),
     ):
         with pytest.raises(LightFieldError, match=words):
             grouper(**{name: value})

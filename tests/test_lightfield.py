@@ -139,6 +139,8 @@ def test_subsets_keep_the_reference_and_the_masks(light_field: LightField, views
     [
         ({"disparity": [1, 2]}, r"disparity must be \[y, x\], found shape \(2,\)"),
         ({"disparity": [["near"]]}, "disparity must be an array of numbers"),
+        ({"disparity": np.full((1, 2), 1 + 1j)}, "disparity must be an array of numbers: complex numbers"),
+        ({"disparity": [[10**400, 0]]}, "disparity must be an array of numbers"),
         ({"position": 3}, r"position must be a pair of numbers \(u, v\), not 3"),
         ({"position": (0, float("nan"))}, "position must be a pair of numbers"),
         ({"mask": [[1, 1]]}, r"mask must be bool \(1, 2\), found int64 \(1, 2\)"),

@@ -327,6 +327,7 @@ def test_stats() -> None:
         ({"policy": "queue", "waiting": "x"}, "waiting must be"),
         ({"policy": "queue", "waiting": 10**9}, "waiting must be"),
         ({"cut": 2.0}, "cut must be"),
+        ({"prior": True}, "prior must be a TemporalPrior or None, not True"),
         ({"budget_ms": "x"}, "budget_ms must be"),
         ({"budget_ms": 0}, "budget_ms must be"),
         ({"disparity_range": (2, 1)}, "disparity range"),
@@ -335,6 +336,13 @@ def test_stats() -> None:
 def test_wrong_arguments(options: dict[str, Any], sentence: str) -> None:
     with pytest.raises(lfgpu.LightFieldError, match=sentence):
         made(**options)
+
+
+def test_a_result_is_no_light_field() -> None:
+    lf = scenes.make("boxes", grid=(3, 3), size=(24, 32))
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=(-2, 2))
+    with pytest.raises(lfgpu.LightFieldError, match="lf must be a LightField, found DepthResult"):
+        lfgpu.DepthStream(result)  # type: ignore[arg-type]
 
 
 def test_wrong_priors() -> None:

@@ -26,8 +26,11 @@ def array_of_numbers(name: str, values: Any, dtype: Any = None) -> NDArray[Any]:
     if hasattr(values, "__dlpack__") or hasattr(values, "__cuda_array_interface__"):
         values = interop.on_host(name, values)
     try:
-        return np.asarray(values if dtype is None else without_masked(values), dtype)
-    except (TypeError, ValueError) as error:
+        found = np.asarray(values if dtype is None else without_masked(values))
+        if dtype is not None and found.dtype.kind == "c":
+            raise TypeError("complex numbers have no order")
+        return found if dtype is None else found.astype(dtype, copy=False)
+    except (OverflowError, TypeError, ValueError) as error:
         raise LightFieldError(f"{name} must be an array of numbers: {error}.") from error
 
 

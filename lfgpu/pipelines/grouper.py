@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu.contract import Float64Array
+from lfgpu.data.light_field_checks import check_positive, check_whole
 from lfgpu.errors import LightFieldError
 
 _OPEN = 8  # groups that are being filled at once: an older one is given out as it is
@@ -98,16 +99,13 @@ class FrameGrouper:
         patience: float | None = None,
         waiting: int = 2,
     ) -> None:
+        check_positive("tolerance", tolerance, "seconds")
         patience = 4 * tolerance if patience is None else patience
-        if cameras < 2 or waiting < 1:
-            raise LightFieldError(
-                f"a grouper needs at least 2 cameras and room for a group, not {cameras} and {waiting}."
-            )
-        if not (0 < tolerance < math.inf and tolerance <= patience < math.inf):
-            raise LightFieldError(
-                f"tolerance must be a number of seconds > 0 and patience at least as much, not {tolerance} and "
-                f"{patience}."
-            )
+        check_positive("patience", patience, "seconds")
+        check_whole("cameras", cameras, 2)
+        check_whole("waiting", waiting, 1)
+        if patience < tolerance:
+            raise LightFieldError(f"patience must be at least the tolerance, {tolerance} s, not {patience} s.")
         self._count, self._shape, self._dtype = cameras, tuple(shape), np.dtype(dtype)
         self._tolerance, self._patience = tolerance, patience
         self._changed = threading.Condition()

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.config import Config
 from lfgpu.contract import Float64Array
-from lfgpu.data import LightField
+from lfgpu.data import LightField, check_light_field
 from lfgpu.data.light_field_checks import check_number, check_positive
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
@@ -117,7 +117,10 @@ class DepthStream(StreamWork):
         rectifier: Rectifier | None = None,
         tolerance: float | None = None,
     ) -> None:
+        check_light_field(lf)
         check_number("cut", cut, 0, 1)
+        if prior is not None and not isinstance(prior, TemporalPrior):
+            raise LightFieldError(f"prior must be a TemporalPrior or None, not {prior!r:.60}.")
         if budget_ms is not None:
             check_positive("budget_ms", budget_ms, "milliseconds")
         if tolerance is not None:
