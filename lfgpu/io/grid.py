@@ -50,8 +50,8 @@ def needed_of(offsets: NDArray[np.float64]) -> Sequence[int] | NDArray[np.intp]:
     if part is None or part.needed is None:
         return range(len(offsets))
     kept = part.needed(offsets)
-    part.left_out = len(kept) < len(offsets)
-    return kept
+    part.left_out = 2 <= len(kept) < len(offsets)
+    return kept if part.left_out else range(len(offsets))  # of one alone whoever asked for it says what is wrong
 
 
 _NAMED_HOLES = 5  # so many missing places are named in a message

@@ -162,3 +162,12 @@ def test_fast_maps_are_the_same_from_the_views_that_are_needed(tmp_path: Path) -
     for needs_all in ("--all-views", "--report", "--reference-view=3,2", "--preset=accurate"):
         options = ("--preset=fast", "--device=cpu", needs_all)
         refused(lfgpu("depth", tmp_path / "boxes", "-o", tmp_path / "all", *options), broken.name)
+
+
+@pytest.mark.parametrize("kind", ["pictures", "array"])
+def test_a_pattern_with_one_view_only_is_named_as_the_reason(kind: str, tmp_path: Path) -> None:
+    row = save_named(tmp_path / "row", box(1, 5)) if kind == "pictures" else tmp_path / "row.npy"
+    if kind == "array":
+        np.save(row, grid_of(1, 5, 3))
+    outcome = lfgpu("depth", row, "-o", tmp_path / "out", "--views", "column")
+    refused(outcome, "row: the subset 'column' leaves the reference view alone; choose more views")
