@@ -146,7 +146,8 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
     if not any(len(one) for one in kept[:_COARSER]):  # the coarsest alone is not believed
         raise LightFieldError(
             f"{lf.name}: the disparity range cannot be found: nowhere do views look alike at one disparity only "
-            "(no texture, all masked, unequal brightness, or cameras too far apart); give disparity_range."
+            "(no texture, all masked, unequal brightness, or cameras too far apart); give "
+            "disparity_range (--disparity-range on the command line)."
         )
     return float(together.min()), float(together.max())
 

@@ -53,7 +53,8 @@ def confirm(
         match(found)
     return (
         f"Surfaces may lie beyond the disparity range that was found, from {found[0]:.3g} to {found[1]:.3g} px per "
-        "view step: many pixels were matched to its ends, and wider ranges left it open; give disparity_range."
+        "view step: many pixels were matched to its ends, and wider ranges left it open; give "
+        "disparity_range (--disparity-range on the command line)."
     )
 
 
