@@ -407,3 +407,14 @@ def test_commands_need_no_backend_that_matplotlib_knows() -> None:
     )
     environment = {**os.environ, "MPLBACKEND": "nonsense"}
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="shells cannot close a stream there")
+def test_an_estimate_needs_no_stderr(tmp_path: Path) -> None:
+    """A program without a console has none: neither a stream of Python nor a descriptor."""
+    code = (
+        "import lfgpu\nlf = lfgpu.scenes.make('planes', size=(32, 32))\n"
+        "print(lfgpu.estimate_depth(lf, config='fast').disparity.shape)"
+    )
+    command = ["sh", "-c", '"$0" -c "$1" 2>&-', sys.executable, code]
+    assert subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=True).stdout == "(32, 32)\n"

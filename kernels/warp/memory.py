@@ -7,8 +7,9 @@ import os
 import sys
 import tempfile
 import threading
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -213,19 +214,29 @@ def start() -> None:
     """Start Warp once, at first use, without its banner and its notes on each module that it compiles."""
     if wp.config.log_level == wp.LOG_INFO:  # its default: whoever chose another level keeps it
         wp.config.log_level = wp.LOG_WARNING
-    # That a machine has no CUDA driver is no news to its owner, but is printed past Python's streams.
-    with tempfile.TemporaryFile() as caught:
-        sys.stderr.flush()
-        stderr = os.dup(2)
-        os.dup2(caught.fileno(), 2)
-        try:
+    try:
+        with _without_note_on_driver():
             wp.init()
             started.extend(device.alias for device in wp.get_devices())
             for device in wp.get_cuda_devices():
                 if device.is_mempool_enabled:
                     wp.set_mempool_release_threshold(device, _POOL)
-        except OSError as error:
-            raise cache_is_closed(error) from error
+    except OSError as error:
+        raise cache_is_closed(error) from error
+
+
+@contextmanager
+def _without_note_on_driver() -> Iterator[None]:
+    """Hold back that a machine has no CUDA driver: no news to its owner, and printed past Python's streams."""
+    if sys.stderr is None:  # closed, or a program without a console
+        yield
+        return
+    with tempfile.TemporaryFile() as caught:
+        sys.stderr.flush()
+        stderr = os.dup(2)
+        os.dup2(caught.fileno(), 2)
+        try:
+            yield
         finally:
             os.dup2(stderr, 2)
             os.close(stderr)
