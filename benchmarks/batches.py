@@ -71,7 +71,7 @@ def command(
     options = ["--preset", preset, "--threads", str(threads)]
     options += [] if disparity_range is None else [f"--disparity-range={disparity_range}"]
     pairs = [(gpus, int(each)) for each in listed(per_gpu) for gpus in wanted]
-    rows = run(cases.find(case_name), preset, listed(kinds), pairs, items, options)
+    rows = run(cases.parse(case_name), preset, listed(kinds), pairs, items, options)
     Table.of("", 3, collected(rows, out, benchmark="batches"), COLUMNS).show()
 
 

@@ -23,11 +23,13 @@ class Case:
     """True if the case is measured when none is named."""
     tiny: bool = False
     """True if the case is small enough for the reference backend (float64 NumPy, written to be read)."""
+    span: float = 3.0
+    """Pixels per view step from the farthest to the nearest disparity."""
 
     @property
     def name(self) -> str:
-        """Rows x columns x height x width."""
-        return "x".join(map(str, (*self.grid, *self.size)))
+        """Rows x columns x height x width, and @span if that is not the usual one."""
+        return "x".join(map(str, (*self.grid, *self.size))) + ("" if self.span == Case.span else f"@{self.span:g}")
 
 
 CASES = (
@@ -41,26 +43,22 @@ CASES = (
 )
 
 
-def find(name: str) -> Case:
-    """Return the case of that name; BenchmarkError if there is none."""
-    for case in CASES:
-        if case.name == name:
-            return case
-    raise BenchmarkError(f"unknown case {name!r}; there are {', '.join(case.name for case in CASES)}.")
-
-
 def parse(name: str) -> Case:
-    """Return the case "7x7x375x375", listed in `CASES` or not; BenchmarkError for anything else."""
+    """Return the case "7x7x375x375" or "7x7x375x375@16", as it is listed in `CASES` or not; else BenchmarkError."""
+    sizes, _, span = name.partition("@")
     try:
-        rows, columns, height, width = (int(part) for part in name.split("x"))
+        rows, columns, height, width = (int(part) for part in sizes.split("x"))
+        case = Case((rows, columns), (height, width), span=float(span or Case.span))
     except ValueError:
-        raise BenchmarkError(f"{name!r} is no case: it must be ROWSxCOLUMNSxHEIGHTxWIDTH.") from None
-    return Case((rows, columns), (height, width))
+        raise BenchmarkError(
+            f"{name!r} is no case: it must be ROWSxCOLUMNSxHEIGHTxWIDTH, or that with @SPAN."
+        ) from None
+    return next((listed for listed in CASES if listed.name == case.name), case)
 
 
 def cast(case: Case, path: Path) -> None:
     """Cast the light field of a case and write it to `path` (.npz)."""
-    lf = scenes.make(_SCENE, grid=case.grid, size=case.size)
+    lf = scenes.make(_SCENE, grid=case.grid, size=case.size, disparity_range=(-case.span / 2, case.span / 2))
     assert lf.truth is not None
     np.savez(path, views=lf.views.reshape(*case.grid, *lf.views.shape[1:]), truth=lf.truth.disparity)
 

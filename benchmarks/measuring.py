@@ -54,7 +54,7 @@ def command(
     out: Out = None,
 ) -> None:
     """Time the search for the disparity range and the noise before an estimate, from host to host."""
-    rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
+    rows = run([cases.parse(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
     Table.of("", 2, collected(rows, out, benchmark="measuring"), COLUMNS).show()
 
 

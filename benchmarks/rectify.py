@@ -48,7 +48,7 @@ def command(
     out: Out = None,
 ) -> None:
     """Time the rectification of raw frames on the device, by itself and as a part of a frame."""
-    rows = run([cases.find(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
+    rows = run([cases.parse(name) for name in listed(case_names)], preset, listed(backends), device, seconds)
     Table.of("", 2, collected(rows, out, benchmark="rectify", about={"rig": asdict(RIG)}), COLUMNS).show()
 
 

@@ -72,7 +72,7 @@ def command(
 ) -> None:
     """Measure light fields in a second on 1, 2, 4 .. GPUs of this machine."""
     names = tuple("cuda:0" if n == "cuda" else n for n in listed(devices)) or devices_here()
-    chosen = tuple(cases.find(n) for n in listed(case_names))
+    chosen = tuple(cases.parse(n) for n in listed(case_names))
     plan = Plan(chosen, tuple(listed(presets)), names, gpu_counts(counts, len(names)), how, seconds)
     Table.of("", 3, collected(run(plan), out, benchmark="scaling"), COLUMNS).show()
 

@@ -52,7 +52,10 @@ class Plan:
 def measure(
     context: typer.Context,
     case_names: Annotated[
-        str, typer.Option("--cases", metavar="NAME,...", help="ROWSxCOLUMNSxHEIGHTxWIDTH; default: those for minutes.")
+        str,
+        typer.Option(
+            "--cases", metavar="NAME,...", help="ROWSxCOLUMNSxHEIGHTxWIDTH[@SPAN]; default: those for minutes."
+        ),
     ] = "",
     presets: Annotated[
         str,
@@ -80,7 +83,7 @@ def measure(
     check_known(timed, "preset", tuple(PRESETS))
     check_known(whole, "pipeline", pipelines.NAMES)
     plan = Plan(
-        tuple(cases.find(n) for n in listed(case_names)) or tuple(c for c in cases.CASES if c.default),
+        tuple(cases.parse(n) for n in listed(case_names)) or tuple(c for c in cases.CASES if c.default),
         tuple(known_backend(n) for n in listed(backends)) or list_backends(),
         timed,
         whole,

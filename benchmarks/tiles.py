@@ -40,7 +40,7 @@ def command(
 ) -> None:
     """Estimate a light field of planes within a given memory; print the time and the memory that it took."""
     limits = [None if name == "none" else name for name in listed(max_memory)]
-    for found in measure(cases.find(case_name), preset, device, limits):
+    for found in measure(cases.parse(case_name), preset, device, limits):
         for name, value in found.items():
             typer.echo(f"{name:<12} {value}")
 
