@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import confidence, judge, like, live, misalignment, paper, pipelines, results, runs, tile_differences
+from benchmarks.cases import Case
 from benchmarks.errors import BenchmarkError
 from benchmarks.results import FOLDER, Record, Run
 from benchmarks.tables import NONE, Table, duration
@@ -154,6 +155,24 @@ def _resident(path: Path) -> list[Record]:
     return [r for r in records if r.kind == "pipeline" and r.name in _NAMES.values() and not r.failed]
 
 
+def _growth(*paths: Path) -> str:
+    """Write time, memory of the process and BadPix(0.07) of each preset, a row for each case."""
+    found = [r for path in paths for r in results.load(path).records if r.kind == "pipeline"]
+    cells = {
+        (r.case, r.name): NONE
+        if r.failed or r.seconds is None or r.host_bytes is None
+        else f"{duration(r.seconds.median)}, {r.host_bytes / 1e9:.1f} GB, {r.errors['badpix_07']:.1f} %"
+        for r in found
+    }
+    names = list(dict.fromkeys(r.name for r in found))
+    rows = [
+        (sizes.replace("x", " × "), span or f"{Case.span:g}", *(cells.get((case, name), NONE) for name in names))
+        for case in dict.fromkeys(r.case for r in found)
+        for sizes, _, span in [case.partition("@")]
+    ]
+    return Table("", ("views × pixels", "span, px", *(f"`{name}`" for name in names)), 1, rows).markdown
+
+
 def _cell(found: Sequence[Record], preset: str, case: str, *, parts: bool = False) -> str:
     for r in found:
         if (r.name, r.case) == (_NAMES[preset], case) and r.seconds is not None:
@@ -196,6 +215,7 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "confidence-surest": (("confidence-surest.json",), _reliability),
     "experiments": (("paper.json",), lambda path: paper.experiments(results.load(path)).markdown),
     "forms": (("paper.json",), lambda path: paper.forms(results.load(path)).markdown),
+    "growth": (("growth.json", "growth-4k.json"), _growth),
     "judge": (("judge.json",), lambda path: judge.table(content(path)["draws"]).markdown),
     "learned": (
         (ACCURACY, "learned.json"),
