@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.data import LightField
-from lfgpu.data.mapping import is_mapped
+from lfgpu.data.mapping import check_unchanged, is_mapped
 from lfgpu.errors import LightFieldError
 from lfgpu.io import parallax
 from lfgpu.io.damage import naming
@@ -219,6 +219,7 @@ def grid_field(
     where, centre = positions(shape), (shape[0] // 2) * shape[1] + shape[1] // 2
     valid = None if valid is None else valid.reshape(-1, *views.shape[2:4])
     if is_mapped(views) and not wanted_on_disk():
+        check_unchanged(views)
         kept = needed_of(where - where[centre])
         views = np.stack([views[divmod(index, shape[1])] for index in kept])
         valid = None if valid is None else valid[kept]
