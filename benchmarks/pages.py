@@ -156,12 +156,12 @@ def _resident(path: Path) -> list[Record]:
 
 
 def _growth(*paths: Path) -> str:
-    """Write time, memory of the process and BadPix(0.07) of each preset, a row for each case."""
+    """Write time, GB of the process and BadPix(0.07) in per cent of each preset, a row for each case."""
     found = [r for path in paths for r in results.load(path).records if r.kind == "pipeline"]
     cells = {
         (r.case, r.name): NONE
         if r.failed or r.seconds is None or r.host_bytes is None
-        else f"{duration(r.seconds.median)}, {r.host_bytes / 1e9:.1f} GB, {r.errors['badpix_07']:.1f} %"
+        else f"{duration(r.seconds.median)} / {r.host_bytes / 1e9:.1f} / {r.errors['badpix_07']:.1f}"
         for r in found
     }
     names = list(dict.fromkeys(r.name for r in found))
