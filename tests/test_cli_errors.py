@@ -118,11 +118,17 @@ def test_an_empty_name_is_not_the_current_folder(
     assert lfgpu("info", "lf", "--flip", "").code == 0
 
 
-def test_an_empty_name_is_not_the_current_folder_in_python(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("", "the path is empty; name a file or a folder"), ("a\0b", r"without zero bytes, .*, not 'a\\x00b'\.")],
+)
+def test_no_file_has_an_empty_name_or_a_zero_byte_in_it(
+    name: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     for call in (partial(write_hci, boxes()), read_files, load, check_writable, partial(write_frames, [])):
-        with pytest.raises(LightFieldError, match="the path is empty; name a file or a folder"):
-            call("")
+        with pytest.raises(LightFieldError, match=words):
+            call(name)
     assert list(tmp_path.iterdir()) == []
 
 
