@@ -1,6 +1,7 @@
 """`lfgpu depth --save`, `convert`, `render`, and `eval` of what they wrote."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,9 @@ from command_line import RANGE, lfgpu, refused, said
 from PIL import Image
 
 from lfgpu import PRESETS, evaluate, load, point_cloud, read, refocus, render_view, scenes
+from lfgpu.calibration import export_scene
 from lfgpu.errors import LightFieldError
-from lfgpu.io import write_hci
+from lfgpu.io import write_description, write_hci
 from tests.made import thorough
 
 SAVED = ("map.exr", "map.tif", "map16.png", "cloud.ply", "map.npz", "map.pfm")
@@ -100,6 +102,10 @@ def test_views_and_maps_that_are_read_stay(recorded: Path, solved: Path, tmp_pat
     description = rows / "row1" / "some.toml"
     description.write_text(told, encoding="utf-8")
     shutil.copy(solved / "result.npz", tmp_path / "maps")
+    scene = tmp_path / "scene"
+    export_scene(read(recorded), load(solved), scene)
+    pictures = tuple(map(str, sorted((scene / "images").iterdir())))
+    write_description(replace(read(recorded), files=pictures), scene / "lightfield.toml", source={})
     before = {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()}
     fast = ("--preset", "fast", *RANGE)
     for command in (
@@ -108,6 +114,9 @@ def test_views_and_maps_that_are_read_stay(recorded: Path, solved: Path, tmp_pat
         ("depth", description, "-o", truth.parent, *fast),
         ("render", description, "--view", "0,1", "-o", rows / "row1" / "0.png", *fast),
         ("convert", solved, "--image", rows, "-o", rows / "row1" / "0.png"),
+        ("export-scene", scene / "lightfield.toml", "-o", scene, "--maps", solved),
+        ("rectify", scene, "-o", scene / "images"),
+        ("rectify", scene / "lightfield.toml", "-o", scene / "images", "--equalise"),
     ):
         refused(lfgpu(*command), "is part of the input: it would be written over")
     refused(lfgpu("convert", truth.parent, "-o", truth.parent / "result.npz"), "which is the input")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from lfgpu.calibration.parallel import ideal_cameras, world_of
 from lfgpu.contract import Float32Array
 from lfgpu.data import DepthResult, DisparityMap, Geometry, LightField, ViewsResult, point_cloud
 from lfgpu.errors import LightFieldError
-from lfgpu.io import atomic_folder, check_writable
+from lfgpu.io import atomic_folder, check_no_inputs, check_writable
 from lfgpu.io.ply import write_vertices
 from lfgpu.io.png import quantised, write_png
 
@@ -65,7 +66,8 @@ def export_scene(
     Raises
     ------
     LightFieldError
-        If the geometry is not known, the maps do not belong to the views, or no pixel has a depth.
+        If the geometry is not known, the maps do not belong to the views, no pixel has a depth, or a view was read from
+        a file that would be replaced.
 
     Examples
     --------
@@ -73,12 +75,11 @@ def export_scene(
     >>> Path("scene/transforms.json").exists()
     True
     """
-    check_writable(folder)
-    geometry = world_of(lf)
+    geometry = check_scene(lf, folder)
     found = _maps(lf, maps, geometry)
     cameras = [
-        replace(camera, name=f"view_{n:03d}.png")
-        for n, camera in enumerate(ideal_cameras(replace(lf, geometry=geometry)))
+        replace(camera, name=name)
+        for name, camera in zip(_names(lf), ideal_cameras(replace(lf, geometry=geometry)), strict=True)
     ]
     points, colors = _points(lf, found)
     unit, notes = _unit(found)
@@ -105,7 +106,18 @@ def export_scene(
     return notes
 
 
+def check_scene(lf: LightField, folder: str | os.PathLike[str]) -> Geometry:
+    """Return the geometry of a light field that can be exported to a folder; LightFieldError if it cannot be."""
+    check_writable(folder)
+    check_no_inputs((Path(folder, "images", name) for name in _names(lf)), lf.files)
+    return world_of(lf)
+
+
 # --- steps ---
+
+
+def _names(lf: LightField) -> list[str]:
+    return [f"view_{n:03d}.png" for n in range(len(lf.views))]
 
 
 def _maps(

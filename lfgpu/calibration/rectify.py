@@ -20,7 +20,7 @@ from lfgpu.data import DepthResult, DisparityMap, LightField
 from lfgpu.data.geometry import UNITS
 from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
-from lfgpu.io import atomic_folder, check_writable, read, write_description
+from lfgpu.io import atomic_folder, check_no_inputs, check_writable, read, write_description
 from lfgpu.io.contradictions import contradictions
 from lfgpu.io.png import write_png
 from lfgpu.io.taken import check_unit, plausible
@@ -47,12 +47,15 @@ class Rectified:
         Result of self-calibration or equalisation; None if neither was asked for.
     disparity_range
         (low, high) of the disparities, as told, or of the depths that are known; None if neither is.
+    files
+        Files of the pictures, which `write_rectified` does not replace.
     """
 
     light_field: LightField
     rig: Rig | None
     refinement: Refinement | None
     disparity_range: tuple[float, float] | None = None
+    files: tuple[str, ...] = ()
 
     def rectifier(self) -> Rectifier:
         """Make a rectifier of other pictures of these cameras, for `lfgpu.DepthPipeline` and `lfgpu.DepthStream`.
@@ -186,12 +189,12 @@ def rectify(
             "by what they show (--refine, or model=)."
         )
     if model is None and not tones:
-        return Rectified(_looked_at_again(lf, pictures), rig, None, disparity_range)
+        return Rectified(_looked_at_again(lf, pictures), rig, None, disparity_range, pictures.files)
     options: dict[str, Any] = {"disparity_range": disparity_range, "backend": backend, "device": device}
     found = refine(lf, model=model, positions=positions, **options) if model else equalise(lf, **options)
     if found.kept and rig is not None and len(lf.views) == len(pictures.views):
         found = replace(found, light_field=_composed(pictures, rig, found))
-    return Rectified(_looked_at_again(found.light_field, pictures), rig, found, disparity_range)
+    return Rectified(_looked_at_again(found.light_field, pictures), rig, found, disparity_range, pictures.files)
 
 
 def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
@@ -201,6 +204,7 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
     written to rectified ones, and with a calibration `rotation` [3, 3] (world to the common frame), `positions`,
     `ahead`, `corrected_at`, the common camera, and of the original cameras `matrices`, `distortions`, `rotations` and
     `translations`. points.ply and original_depth.pfm of an earlier run, which are of another map, are removed.
+    LightFieldError if a picture that was read would be replaced.
 
     Examples
     --------
@@ -211,13 +215,13 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
     """
     check_writable(folder)
     lf = result.light_field
+    names = [f"view_{n:03d}.png" for n in range(len(lf.views))]
+    check_no_inputs((Path(folder, name) for name in names), result.files)
     with atomic_folder(folder, ours=(POINTS_FILE, DEPTH_FILE), mark=NUMBERS) as place:
-        files = []
-        for n in range(len(lf.views)):
-            file = place / f"view_{n:03d}.png"
-            write_png(file, lf.views[n])
-            files.append(str(file))
-        write_description(replace(lf, files=tuple(files)), place / "lightfield.toml", source={})
+        for name, view in zip(names, lf.views, strict=True):
+            write_png(place / name, view)
+        files = tuple(str(place / name) for name in names)
+        write_description(replace(lf, files=files), place / "lightfield.toml", source={})
         np.savez_compressed(place / NUMBERS, **numbers(lf, result.rig, result.refinement))  # type: ignore[arg-type]
 
 

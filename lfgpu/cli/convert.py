@@ -32,9 +32,9 @@ def convert(
     ] = None,
 ) -> None:
     """Write a disparity map in another format, or as a point cloud, with its metadata."""
-    from lfgpu.cli.outputs import check_no_inputs
     from lfgpu.data import ViewsResult
-    from lfgpu.io import RESULT_FILE, check_writable, load, one_map, read, save, writable_format
+    from lfgpu.io import RESULT_FILE, check_no_inputs, check_writable, load, one_map, read, save, writable_format
+    from lfgpu.io.description import named_by
 
     check_writable(out, folder=False, source=result / RESULT_FILE if result.is_dir() else result)
     writable_format(out)
@@ -48,7 +48,7 @@ def convert(
     found, image = one_map(whole, None if place is None else place[::-1]), None
     if colours is not None:
         lf = read(colours, allow_missing=True)
-        check_no_inputs([out], colours, lf)
+        check_no_inputs([out], (*lf.files, *named_by(colours)))
         if found.position is None:
             raise LightFieldError(
                 f"{result} does not say which view it belongs to, so --image cannot colour its points; leave --image "

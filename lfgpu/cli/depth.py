@@ -69,9 +69,10 @@ def depth(
     """
     from lfgpu.cli import summary
     from lfgpu.cli.console import output, remark
-    from lfgpu.cli.outputs import NAMES, check_names, check_no_inputs, write_outputs, write_saved, write_view_maps
+    from lfgpu.cli.outputs import NAMES, check_names, write_outputs, write_saved, write_view_maps
     from lfgpu.data.filling import fill_unknown, filled
-    from lfgpu.io import RESULT_FILE, atomic_folder, check_writable, read
+    from lfgpu.io import RESULT_FILE, atomic_folder, check_no_inputs, check_writable, read
+    from lfgpu.io.description import named_by
     from lfgpu.methods.footprint import parse_memory
     from lfgpu.pipelines.verdict import needed_views
 
@@ -95,7 +96,7 @@ def depth(
 
     with meanwhile(estimation.prepare):  # imports go on while threads decode files
         lf = read(source, lazy=max_memory is not None, **options)
-    check_no_inputs((out / name for name in (*NAMES, *(saved or ()))), source, lf)
+    check_no_inputs((out / name for name in (*NAMES, *(saved or ()))), (*lf.files, *named_by(source)))
     lf = chosen.of(lf)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)

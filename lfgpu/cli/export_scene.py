@@ -31,7 +31,7 @@ def export_scene(
     The light field must have a geometry, which says where its cameras are.
     """
     from lfgpu import calibration
-    from lfgpu.calibration.parallel import world_of
+    from lfgpu.calibration.export import check_scene
     from lfgpu.cli import summary
     from lfgpu.cli.console import output
     from lfgpu.io import VIEWS_FILE, check_writable, load, read
@@ -40,7 +40,7 @@ def export_scene(
     options = reading.options()
     estimation = computing.estimation(values.configured(preset, ()))
     lf = read(source, **options)
-    world_of(lf)
+    check_scene(lf, out)
     if maps is None:
         found = estimation.run_all(lf, quiet=quiet)
     else:

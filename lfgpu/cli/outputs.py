@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lfgpu.errors import LightFieldError
 from lfgpu.io import DEPTH_FILE, DISPARITY_FILE, REPORT_FILE, RESULT_FILE, VIEWS_FILE, save, writable_format
-from lfgpu.io.description import named_by
 
 if TYPE_CHECKING:
     from lfgpu.contract import Float32Array
-    from lfgpu.data import DepthResult, LightField, ViewsResult
+    from lfgpu.data import DepthResult, ViewsResult
 
 PICTURE_FILE, CONFIDENCE_FILE = "disparity.png", "confidence.png"
 
@@ -62,14 +61,6 @@ def check_names(option: str, names: Sequence[str]) -> None:
             raise LightFieldError(
                 f"{option} must not be {name!r}, because another output has that name; choose another name."
             )
-
-
-def check_no_inputs(outputs: Iterable[Path], source: Path, lf: LightField) -> None:
-    """Raise LightFieldError if an output would replace a file that a light field was read from."""
-    inputs = {file.resolve() for file in (*map(Path, lf.files), *named_by(source))}
-    for place in outputs:
-        if place.resolve() in inputs:
-            raise LightFieldError(f"{place} is part of the input: it would be written over; choose another place.")
 
 
 def write_saved(folder: Path, names: Sequence[str], result: DepthResult, image: Float32Array) -> list[tuple[str, str]]:

@@ -63,9 +63,9 @@ def render(
 
     Give exactly one of --view, --refocus, --all-in-focus and --sweep.
     """
-    from lfgpu.cli.outputs import check_no_inputs
     from lfgpu.cli.rendering import Rendering
-    from lfgpu.io import check_writable, read
+    from lfgpu.io import check_no_inputs, check_writable, read
+    from lfgpu.io.description import named_by
     from lfgpu.io.frames import check_frames_path, check_image_path, write_frames, write_image
     from lfgpu.methods import method_of
 
@@ -85,7 +85,7 @@ def render(
     estimation = computing.estimation(method_of(preset).for_rendering)
 
     lf = read(source, **options)
-    check_no_inputs([out], source, lf)
+    check_no_inputs([out], (*lf.files, *named_by(source)))
     if reference is not None:
         lf = lf.with_reference(lf.index_of(*reference))
     dtype = "uint16" if lf.views.dtype == "uint16" else "uint8"

@@ -1,6 +1,6 @@
 """Light fields, maps and masks from and to files."""
 
-from lfgpu.io.atomic import atomic_folder, atomic_write, check_writable
+from lfgpu.io.atomic import atomic_folder, atomic_write, check_no_inputs, check_writable
 from lfgpu.io.description import write_description
 from lfgpu.io.formats import FORMATS, Format, inside, read, recognise
 from lfgpu.io.hci import write_hci
@@ -35,6 +35,7 @@ __all__ = [
     "MapFormat",
     "atomic_folder",
     "atomic_write",
+    "check_no_inputs",
     "check_writable",
     "holds_map",
     "inside",

@@ -8,7 +8,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Collection, Container, Iterator
+from collections.abc import Collection, Container, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
@@ -77,6 +77,14 @@ def check_no_others(out: str | os.PathLike[str], new: Container[str], ours: re.P
     names = sorted(path.name for path in Path(out).iterdir()) if Path(out).is_dir() else []
     if other := next((name for name in names if ours.fullmatch(name) and name not in new), None):
         raise LightFieldError(f"{out} holds {other} of another light field or film; choose an empty folder.")
+
+
+def check_no_inputs(outputs: Iterable[Path], inputs: Iterable[str | Path]) -> None:
+    """Raise LightFieldError if an output would replace a file that is read."""
+    files = {Path(file).resolve() for file in inputs}
+    for place in outputs:
+        if place.resolve() in files:
+            raise LightFieldError(f"{place} is part of the input: it would be written over; choose another place.")
 
 
 def check_writable(out: str | os.PathLike[str], *, folder: bool = True, source: Path | None = None) -> None:
