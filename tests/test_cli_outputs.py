@@ -90,7 +90,9 @@ def test_outputs_are_checked_before_anything_is_read(
     assert not list(tmp_path.iterdir())
 
 
-def test_views_and_maps_that_are_read_stay(recorded: Path, solved: Path, tmp_path: Path) -> None:
+def test_views_and_maps_that_are_read_stay(
+    recorded: Path, solved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     rows, truth = tmp_path / "rows", tmp_path / "maps" / "disparity.pfm"
     for n in range(9):
         (rows / f"row{n // 3}").mkdir(parents=True, exist_ok=True)
@@ -120,6 +122,8 @@ def test_views_and_maps_that_are_read_stay(recorded: Path, solved: Path, tmp_pat
     ):
         refused(lfgpu(*command), "is part of the input: it would be written over")
     refused(lfgpu("convert", truth.parent, "-o", truth.parent / "result.npz"), "which is the input")
+    monkeypatch.setattr("lfgpu.io.views.read_view", pytest.fail)
+    refused(lfgpu("depth", rows, "-o", rows / "row1", "--save", "0.png", *fast), "is part of the input")
     assert {file: file.read_bytes() for file in tmp_path.rglob("*") if file.is_file()} == before
 
 

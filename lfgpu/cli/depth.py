@@ -73,6 +73,7 @@ def depth(
     from lfgpu.data.filling import fill_unknown, filled
     from lfgpu.io import RESULT_FILE, atomic_folder, check_no_inputs, check_writable, read
     from lfgpu.io.description import named_by
+    from lfgpu.io.views import before_writing
     from lfgpu.methods.footprint import parse_memory
     from lfgpu.pipelines.verdict import needed_views
 
@@ -94,9 +95,10 @@ def depth(
     if computing.device is not None or computing.backend != DEFAULT:
         estimation.check_device()  # what was asked for is checked before anything is read
 
-    with meanwhile(estimation.prepare):  # imports go on while threads decode files
+    outputs = [out / name for name in (*NAMES, *(saved or ()))]
+    check_no_inputs(outputs, named_by(source))
+    with meanwhile(estimation.prepare), before_writing(outputs):  # imports go on while threads decode files
         lf = read(source, lazy=max_memory is not None, **options)
-    check_no_inputs((out / name for name in (*NAMES, *(saved or ()))), (*lf.files, *named_by(source)))
     lf = chosen.of(lf)
     views = estimation.run_all(lf, quiet=quiet) if all_views else None
     result = views.reference if views else estimation.run(lf, quiet=quiet)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from contextlib import AbstractContextManager
+from contextvars import ContextVar
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -15,14 +17,22 @@ from numpy.typing import NDArray
 from lfgpu.data import LightField
 from lfgpu.data.light_field_checks import named
 from lfgpu.errors import LightFieldError
+from lfgpu.io.atomic import check_no_inputs
 from lfgpu.io.disk import Collected
 from lfgpu.io.folders import image_files
 from lfgpu.io.images import read_view
-from lfgpu.io.reporting import listener
+from lfgpu.io.reporting import listener, within
 from lfgpu.threads import in_threads
 
 _DECODED = 2**28  # bytes that decoders may take at once,
 _COPIES = 3  # of which each has a view so many times
+
+_OUTPUTS: ContextVar[Collection[Path]] = ContextVar("files that will be written", default=())
+
+
+def before_writing(outputs: Collection[Path]) -> AbstractContextManager[object]:
+    """Have readers in this block raise LightFieldError, before they decode a view, if an output would replace one."""
+    return within(_OUTPUTS, outputs)
 
 
 def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, tuple[str, ...]]:
@@ -31,6 +41,7 @@ def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] |
     Returns views [n, y, x, c] as stored; bool [n, y, x], False where they are transparent, None if nothing is, or
     everything; and a sentence for each kind of conversion.
     """
+    check_no_inputs(_OUTPUTS.get(), files)
     first, alpha, remarks = read_view(files[0])
     masks: list[NDArray[np.bool_] | None] = [None] * len(files)
     masks[0] = alpha
