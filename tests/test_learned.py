@@ -26,6 +26,7 @@ from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.learned import BUILT_IN, NETWORK_REACH, VERSION, Network, read_weights
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.methods.measured import Measured
+from lfgpu.pipelines.all_views import estimate_all_views
 from lfgpu.pipelines.resident import KEPT
 from tests.made import masked, thorough
 
@@ -204,6 +205,14 @@ def test_weights_of_a_file_are_used_recorded_and_exported(
     np.testing.assert_array_equal(ours.disparity, built_in.disparity)
     pipeline = DepthPipeline(scene, config="learned", weights=path, disparity_range=RANGE)
     np.testing.assert_array_equal(pipeline.estimate().disparity, theirs.disparity)
+    views = estimate_all_views(scene, weights=path, keys=1, disparity_range=RANGE, check_cameras=False)
+    np.testing.assert_array_equal(views.reference.disparity, theirs.disparity)
+    with DepthStream(scene, weights=path, disparity_range=RANGE, device="cpu") as stream:
+        np.testing.assert_array_equal(stream.push(scene.views).numpy(), theirs.disparity)
+    with DepthStream.for_cameras(
+        scene.positions, scene.size, weights=path, disparity_range=RANGE, device="cpu"
+    ) as stream:
+        assert stream.config == theirs.config
     assert len({theirs.config, ours.config, built_in.config}) == 3  # plans of one are no plans of the others
     assert pickle.loads(pickle.dumps(theirs.config)).weights.weights.keys() == written[1].keys()
     write_hci(scene, tmp_path / "scene")

@@ -7,6 +7,7 @@ takes less time than to estimate every view, and the maps are consistent.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from numbers import Integral
 from time import perf_counter
@@ -36,6 +37,7 @@ def estimate_all_views(
     *,
     keys: int = _KEYS,
     config: Config | PresetName | None = None,
+    weights: str | os.PathLike[str] | None = None,
     disparity_range: tuple[float, float] | None = None,
     backend: BackendName = DEFAULT,
     device: str | None = None,
@@ -53,7 +55,7 @@ def estimate_all_views(
         Number of key views, >= 1; default 9. The first is the reference view. Each further one is the view that is
         farthest from those before, among the views with at least half of their pixels valid. The time is nearly
         proportional to this number. If it is the number of views or more, all views are key views.
-    config, disparity_range, backend, device, deterministic, check_cameras
+    config, weights, disparity_range, backend, device, deterministic, check_cameras
         As for `estimate_depth`. Range and noise are measured once, on the reference view, and the cameras are looked at
         with its map. Disparities that differ by up to `Method.same_surface` belong to the same surface.
     on_progress
@@ -76,7 +78,7 @@ def estimate_all_views(
     check_light_field(lf)
     if isinstance(keys, bool) or not isinstance(keys, Integral) or keys < 1:
         raise LightFieldError(f"keys must be an integer >= 1; found {keys!r}.")
-    report, config = on_progress or (lambda stage, iteration, value: None), configured(config)
+    report, config = on_progress or (lambda stage, iteration, value: None), configured(config, weights)
     usable = None if lf.valid is None else lf.valid.mean((1, 2)) >= _LEAST_VALID
     chosen = spread_out(lf.positions, lf.reference_index, int(keys), usable)
     start = perf_counter()

@@ -56,8 +56,10 @@ class DepthStream(StreamWork):
     lf
         Gives the cameras, size, stored type, masks and reference view. The noise, and the disparity range if it is not
         given, are measured on its views. Without a first frame, use `for_cameras`.
-    config, disparity_range, device, measured
-        As for `DepthPipeline`; the presets "accurate" (default) and "fast" run on streams.
+    config
+        As for `DepthPipeline`, for the presets of matching. Default None: "accurate", or "learned" with weights.
+    weights, disparity_range, device, measured
+        As for `DepthPipeline`.
     backend
         "warp" (default), the only backend with streams.
     prior
@@ -102,7 +104,8 @@ class DepthStream(StreamWork):
         self,
         lf: LightField,
         *,
-        config: Config | str = "accurate",
+        config: Config | str | None = None,
+        weights: str | os.PathLike[str] | None = None,
         disparity_range: tuple[float, float] | None = None,
         backend: str = DEFAULT,
         device: str | None = None,
@@ -127,13 +130,14 @@ class DepthStream(StreamWork):
             check_positive("tolerance", tolerance, "seconds")
         most = most_waiting(policy, waiting)
         given = disparity_range is not None or measured is not None
-        method, kernels = method_of(config), load(backend)
+        self.config = _configured(config, weights)
+        method, kernels = method_of(self.config), load(backend)
         streaming = kernels.streaming
         if streaming is None:
             raise BackendError(f"backend {backend!r} has no streams; use backend {DEFAULT!r}.")
         place, pictures = open_device(backend, device), lf
         lf = pictures if rectifier is None else rectifier.rectified(pictures, place)
-        self.config, self.geometry, self.name = configured(config), lf.geometry, lf.name
+        self.geometry, self.name = lf.geometry, lf.name
         self.rectifier = rectifier
         """The rectifier of frames; None if they are views already."""
         self._notes: tuple[str, ...] = ()  # about the range that was found
@@ -184,7 +188,8 @@ class DepthStream(StreamWork):
         channels: int = 3,
         reference: int | None = None,
         noise: float = _USUAL_NOISE,
-        config: Config | str = "accurate",
+        config: Config | str | None = None,
+        weights: str | os.PathLike[str] | None = None,
         **options: Any,
     ) -> DepthStream:
         """Create a stream before there is any frame.
@@ -199,12 +204,13 @@ class DepthStream(StreamWork):
             uint8 (default), uint16 or float32 in [0, 1]; 1 or 3 (default).
         noise
             Root mean square difference between views that show the same point, intensity; default 0.004.
-        config, disparity_range, options
+        config, weights, disparity_range, options
             As for `DepthStream`.
         """
         places = np.asarray(positions, np.float64)
         views = np.zeros((len(places), *size, channels), dtype)
         lf = LightField(views, places, reference=reference)
+        config = _configured(config, weights)
         measured = method_of(config).given(lf.layout, disparity_range, noise)
         return cls(lf, config=config, measured=measured, **options)
 
@@ -370,6 +376,11 @@ class DepthStream(StreamWork):
 
     def __exit__(self, kind: object, *_: object) -> None:
         self.close(finish=kind is None)
+
+
+def _configured(config: Config | str | None, weights: str | os.PathLike[str] | None) -> Config:
+    """Return parameters as `methods.configured` does, those of "accurate" where neither is given."""
+    return configured("accurate" if config is None and weights is None else config, weights)
 
 
 _OPEN: weakref.WeakSet[DepthStream] = weakref.WeakSet()
