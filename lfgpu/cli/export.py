@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Cold, DisparityRange, OutFolder, Parameters, ReadingIncomplete
+from lfgpu.cli.options import Cold, DisparityRange, OutFolder, Parameters, ReadingIncomplete, preset_option
 from lfgpu.printable import printable
 
 
@@ -17,14 +17,7 @@ class _Parameters(Parameters):
 
     usual = "accurate"
 
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Parameters to start from: {recordable presets}.",
-            show_default="accurate, or learned with --weights",
-        ),
-    ] = None
+    preset: Annotated[str | None, preset_option(": {recordable presets}", "accurate")] = None
 
 
 def export(

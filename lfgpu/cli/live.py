@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from lfgpu.cli import values
-from lfgpu.cli.options import Cold, Device, Parameters, Quiet, ReadingIncomplete, Threads
+from lfgpu.cli.options import Cold, Device, Parameters, Quiet, ReadingIncomplete, Threads, preset_option
 from lfgpu.errors import LfgpuError, LightFieldError
 from lfgpu.threads import on_signal
 
@@ -36,14 +36,7 @@ class _Parameters(Parameters):
 
     usual = "accurate"
 
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            help="Parameters to start from: {live presets}.",
-            show_default="accurate, or learned with --weights",
-        ),
-    ] = None
+    preset: Annotated[str | None, preset_option(": {live presets}", "accurate")] = None
 
 
 @dataclass(frozen=True)

@@ -70,7 +70,14 @@ OutFolder = Annotated[
     Path, typer.Option("-o", "--out", metavar="FOLDER", help="Folder for the outputs; created if missing.")
 ]
 
-Preset = Annotated[str, typer.Option("--preset", metavar="NAME", help="Parameters to start from. {presets}.")]
+
+def preset_option(listed: str, usual: str | None = None) -> Any:
+    """Make the option --preset, whose help ends with a list of presets; `usual` is the one without it and --weights."""
+    told = True if usual is None else f"{usual}, or learned with --weights"
+    return typer.Option("--preset", metavar="NAME", help=f"Parameters to start from{listed}.", show_default=told)
+
+
+Preset = Annotated[str, preset_option(". {presets}")]
 
 ReferenceView = Annotated[
     str | None,
@@ -221,15 +228,7 @@ class Parameters:
 
     usual: ClassVar[str | None] = None  # preset without --preset and --weights; None for that of lfgpu
 
-    preset: Annotated[
-        str | None,
-        typer.Option(
-            "--preset",
-            metavar="NAME",
-            help="Parameters to start from. {presets}.",
-            show_default="surest, or learned with --weights",
-        ),
-    ] = None
+    preset: Annotated[str | None, preset_option(". {presets}", "surest")] = None
     weights: Annotated[
         Path | None,
         typer.Option(
