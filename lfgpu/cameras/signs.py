@@ -73,15 +73,15 @@ def wrong_axis(lf: LightField, points: Points, largest: float) -> Signs | None:
     pictures = [grey(lf, int(n)) for n in chosen]
     labels = np.linspace(-1.2 * largest, 1.2 * largest, LABELS)
     costs: dict[Signs | None, Float64Array] = {}
-    moves: dict[Signs | None, Float64Array] = {}  # of the usual point in the first picture, pixels
+    moves: dict[Signs | None, Float64Array] = {}  # of the usual point in each picture, pixels
     for way, matrix in _WAYS if not in_line else _WAYS_OF_LINES:
         turned = offsets[chosen] @ np.array(matrix, np.float64).T
         cost, disparity = sweep(patch, pictures, turned, x, y, labels)
         if way is None and np.median(cost) < _AGREE:
             return None
-        costs[way], moves[way] = cost, -np.median(disparity) * turned[0]
+        costs[way], moves[way] = cost, -np.median(disparity) * turned
     best = min(costs, key=lambda way: float(np.median(costs[way])))
-    if len(beside) == 1 and best is not None:  # a pair that is out of line looks like one of another line
+    if in_line and best is not None:  # views that are out of line look like those of another line
         in_place, _ = sweep(patch, pictures, offsets[chosen], x, y, labels, moved=moves[best])
         costs[None] = np.minimum(costs[None], in_place)
     gain = costs[None] - costs[best]

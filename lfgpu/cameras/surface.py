@@ -147,21 +147,21 @@ def sweep(
     y: NDArray[np.intp],
     labels: Float64Array,
     *,
-    moved: Float64Array | tuple[float, float] = (0.0, 0.0),
+    moved: Float64Array | None = None,
 ) -> tuple[Float64Array, Float64Array]:
     """Find the least cost [p] of each point, and its disparity.
 
     The cost is the mean absolute difference of patches without their mean and contrast, in the better three quarters of
-    the pictures. `patch` [p, 25] is cut from the reference, `offsets` are those of the pictures, which are all `moved`
-    by so many pixels to the right and down.
+    the pictures. `patch` [p, 25] is cut from the reference, `offsets` [n, 2] are those of the pictures, which are each
+    `moved` [n, 2] by so many pixels to the right and down; None: not at all.
     """
-    right, down = moved
+    moved = np.zeros_like(offsets) if moved is None else moved
     best, chosen = np.full(len(patch), np.inf), np.zeros(len(patch))
     plain = _plain(patch)
     for d in labels:
         costs = [
             np.abs(_plain(patches(picture, x, y, right - d * du, down - d * dv)) - plain)
-            for picture, (du, dv) in zip(pictures, offsets, strict=True)
+            for picture, (du, dv), (right, down) in zip(pictures, offsets, moved, strict=True)
         ]
         better = np.sort(np.stack(costs).mean(2), axis=0)[: (3 * len(pictures) + 3) // 4]
         cost = better.mean(0)

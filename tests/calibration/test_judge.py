@@ -218,6 +218,18 @@ def test_a_pair_that_is_out_of_line_is_not_taken_for_one_of_a_column(
         assert "read it with --transpose." in sentence((2, 1), off=off)
 
 
+@pytest.mark.parametrize("lower", [(0, 1, 2), (1, 0, 1, 2), thorough((0, 2, 1, 2, 3))])
+@pytest.mark.parametrize(("name", "disparity_range"), [("boxes", (-0.5, 0.5)), thorough("relief", (-1.5, 1.5))])
+def test_a_row_that_is_out_of_line_is_not_taken_for_a_column(
+    name: str, disparity_range: tuple[float, float], lower: tuple[int, ...]
+) -> None:
+    views = scenes.make(name, grid=(1, len(lower)), size=(96, 128), disparity_range=disparity_range, seed=3).views
+    shifted = np.stack([view[down : 93 + down] for view, down in zip(views, lower, strict=True)])
+    found = explained(LightField(shifted, [[n, 0] for n in range(len(lower))]))
+    assert found.signs is None
+    assert not any("taken for columns" in sentence for sentence in found.findings)
+
+
 def test_a_column_of_two_cameras_far_apart_is_told() -> None:
     views = scenes.make("relief", grid=(2, 1), size=(96, 128), disparity_range=(2, 8), seed=3).views
     pair = LightField(views, [[0, 0], [1, 0]])
