@@ -10,13 +10,13 @@ from .native_code import kernel, names_of
 BLOCK = 128
 _STRIPS = {(False, False): 6, (False, True): 6, (True, True): 7, (True, False): 10}
 """Rows of a strip, by whether surfaces hide and gradients count: as measured, but for the first, which is a guess."""
-_WARP = 32
+WARP = 32  # threads
 
 
 def threads_of(labels: int, height: int, width: int, *, seen: bool, gradients: bool) -> int:
     """Return the number of threads of a sweep."""
-    strips, columns = -(-height // _STRIPS[seen, gradients]), -(-width // (_WARP - 2 * gradients))
-    return -(-labels * _WARP // BLOCK) * BLOCK * strips * columns
+    strips, columns = -(-height // _STRIPS[seen, gradients]), -(-width // (WARP - 2 * gradients))
+    return -(-labels * WARP // BLOCK) * BLOCK * strips * columns
 
 
 def kept_type(channels: int, stored: Any) -> Any:
@@ -43,7 +43,7 @@ def sweep_kernel(
     numbers = {
         "CHANNELS": channels,
         "SETS": sets,
-        "COLUMNS": _WARP - 2 * gradients,
+        "COLUMNS": WARP - 2 * gradients,
         "STRIP": _STRIPS[seen, gradients],
         "RIM": int(gradients),
         "ROOTED": int(rooted),

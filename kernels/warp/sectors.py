@@ -9,7 +9,7 @@ import warp as wp
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
 from .cpu_plane_sweep import kept_type, loading_kernels
-from .gpu_plane_sweep import kept_type as gpu_kept_type, pack_kernel
+from .gpu_plane_sweep import WARP as _WARP, kept_type as gpu_kept_type, pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
 from .threads import check_size, flat, launch, launch_slices, once
@@ -18,7 +18,7 @@ from .vector import dot
 _MORE = 17  # columns of views that nothing reads: rows of all views would share few places of a cache
 _CHUNK = 128  # columns whose costs stay in a cache
 _NUMBERS: dict[str, Any] = {"SECTORS": SECTORS, "FOLD": FOLD, "UNIT": COST_UNIT}
-_BLOCK = 128  # threads of a GPU, each with a pixel
+_BLOCK, _HIGH = 128, 2  # threads of a GPU, and the folded rows in which each has pixels
 
 
 def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
@@ -27,9 +27,9 @@ def _costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
     return kernel("sectors.h", "find_sector_costs", **types, **numbers)
 
 
-def _gpu_costs_kernel(channels: int, stored: Any, costs: Any) -> Any:
+def _gpu_costs_kernel(channels: int, stored: Any, costs: Any, masked: bool) -> Any:
     kept = gpu_kept_type(channels, stored)
-    numbers: dict[str, Any] = {**_NUMBERS, "CHANNELS": channels, "BLOCK": _BLOCK}
+    numbers: dict[str, Any] = {**_NUMBERS, "CHANNELS": channels, "BLOCK": _BLOCK, "HIGH": _HIGH, "MASKED": masked}
     types = {"Kept": kept, "Pixel": pixel_type(channels), "Costs": pixel_type(FOLD**2 * COSTS, costs)}
     numbers |= {"STORED": c_type(costs), "BYTES": {wp.uint8: 1, wp.uint16: 2}.get(stored, 0), **names_of(kept)}
     return kernel("sectors.cuh", "find_sector_costs", **types, **numbers)
@@ -72,10 +72,12 @@ class sector_costs:
         top, some = (0, held) if rows is None else (rows.first, rows.last - rows.first)
         planned = [self._order, self._begins, self._offsets, first, factor, self._scale, step, top]
         if not self._device.is_cpu:
-            threads = labels * some * -(-columns * FOLD**2 // _BLOCK) * _BLOCK
+            strips = -(-some // _HIGH) * -(-columns * FOLD // _WARP)
+            threads = -(-labels * _WARP // _BLOCK) * _BLOCK * strips
             check_size(threads)
-            inputs = [self._views, self._image, *planned]
-            launch(_gpu_costs_kernel(*kind), threads, inputs, [costs_out], device=self._device, block_dim=_BLOCK)
+            inputs = [self._views, self._image, *planned, some]
+            costs = _gpu_costs_kernel(*kind, self._valid is not None)
+            launch(costs, threads, inputs, [costs_out], device=self._device, block_dim=_BLOCK)
             return
         inputs = [self._views, self._image, self._valid, *planned]
         launch_slices(_costs_kernel(*kind), labels * some, inputs, costs_out)
