@@ -96,7 +96,7 @@ def brightness(image: Any, *, factor_out: Any) -> None:
         factor_out.lfgpu_ones = wp.full(count, 1.0, dtype=float, device=image.device)
     values = wp.array(ptr=image.ptr, dtype=float, shape=count, device=image.device, copy=False)
     dot(values, factor_out.lfgpu_ones, factor_out)
-    launch(_factor_kernel, 1, [wp.float64(count)], [factor_out], device=image.device)
+    launch(_factor_kernel, 1, [count], [factor_out], device=image.device)
 
 
 @once

@@ -4,6 +4,7 @@ Modules are loaded before that, from a cache with checksums. How the work is cut
 threads, so neither do the results.
 """
 
+import ctypes
 import glob
 import os
 import re
@@ -169,17 +170,16 @@ def in_slices(device: Any, count: int, work: Callable[[int, int, int], None]) ->
 
     On a CPU `work` asks for nothing but launches: what is recorded of it runs them side by side.
     """
-    cuts, threads = slices(device, count), get_threads()
-    if is_preparing():
+    cuts = slices(device, count)
+    if len(cuts) == 1 or is_preparing():
         work(0, *cuts[0])
         return
-    if len(cuts) == 1 or threads == 1:
-        marks = len(cuts) > 1 and getattr(_marking, "on", False)
+    if (threads := get_threads()) == 1:
         for k, (first, last) in enumerate(cuts):
-            if marks:
+            if is_recording():
                 wp.launch(slice_begins_kernel, 1, device=device)
             work(k, first, last)
-        if marks:
+        if is_recording():
             wp.launch(slices_end_kernel, 1, device=device)
         return
     for done in [_pool(threads).submit(work, k, first, last) for k, (first, last) in enumerate(cuts)]:
@@ -200,6 +200,11 @@ MARKS = slice_begins_kernel, slices_end_kernel
 """Launched before each slice of one call, and after the last, in work that is recorded: slices may run side by side."""
 
 _marking = threading.local()
+
+
+def is_recording() -> bool:
+    """Tell whether what this thread asks for becomes a file."""
+    return getattr(_marking, "on", False)
 
 
 @contextmanager
@@ -270,11 +275,41 @@ def launch(
     block_dim: int | None = None,
 ) -> None:
     """Launch a kernel; what a crash left of it in the cache of kernels is compiled again."""
-    options = {"device": device, "stream": stream, "block_dim": block_dim}
-    if _is_loaded(kernel.module, device, block_dim):
-        wp.launch(kernel, dim, inputs, outputs, **options)
-    else:
+    place, options = wp.get_device(device), {"device": device, "stream": stream, "block_dim": block_dim}
+    if not _is_loaded(kernel.module, device, block_dim):
         from_cache(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel.module, device, block_dim)
+    elif place.is_cuda and not is_recording():
+        if (command := _command(kernel, dim, (*inputs, *outputs), place, block_dim)) is not None:
+            command.launch(stream)
+    else:
+        wp.launch(kernel, dim, inputs, outputs, **options)
+
+
+_commands: dict[tuple[Hashable, ...], Any] = {}
+_COMMANDS = 4096  # launches that are kept, at most: a few kilobytes each
+
+
+def _command(kernel: Any, dim: Any, arguments: tuple[Any, ...], device: Any, block_dim: int | None) -> Any:
+    """Return a launch, the same one for the same memory and numbers; None if it has no threads.
+
+    To pack arguments takes Python several times as long as all else that a launch needs.
+    """
+    key = (kernel, str(dim), device.alias, block_dim, *map(_packed, arguments))
+    if (command := _commands.get(key)) is None:
+        if len(_commands) >= _COMMANDS:
+            _commands.clear()
+        command = wp.launch(kernel, dim, arguments, device=device, block_dim=block_dim, record_cmd=True)
+        if command is not None:
+            command.fwd_args = None  # they would hold the memory
+            _commands[key] = command
+    return command
+
+
+def _packed(argument: Any) -> Hashable:
+    """Return all that a kernel gets of an argument."""
+    if isinstance(argument, wp.array):
+        return argument.dtype, bytes(argument.__ctype__())
+    return bytes(argument) if isinstance(argument, ctypes.Array) else argument or repr(argument)  # 0.0 equals -0.0
 
 
 def _is_loaded(module: Any, device: Any, block_dim: int | None) -> bool:

@@ -7,6 +7,7 @@ pixels are packed, masks. Each kind of kernel takes seconds to compile, so these
 
 import re
 import sys
+import weakref
 from collections.abc import Iterator
 from typing import Any
 
@@ -95,6 +96,30 @@ def test_a_plan_follows_other_numbers(gpu: KernelSet, preset: str, monkeypatch: 
         np.testing.assert_array_equal(found, alone)
 
 
+def test_a_launch_with_the_same_memory_and_numbers_is_prepared_once(
+    gpu: KernelSet, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A recording needs the arrays of each launch; what is kept of others holds no memory."""
+    threads, launch, seen = sys.modules[f"{gpu_blocks.NAME}.threads"], wp.launch, []
+    monkeypatch.setattr(threads, "_commands", {})
+    monkeypatch.setattr(wp, "launch", lambda *given, **options: (seen.append(options), launch(*given, **options))[1])
+    one, other = (gpu.zeros((2, 3), "cpu") for _ in range(2))
+
+    def launched(value: float, out: Any) -> int:
+        seen.clear()
+        gpu.fill(value, out)
+        assert gpu.numpy(out).tobytes() == np.full((2, 3), value, np.float32).tobytes()
+        return len(seen)
+
+    calls = ((1.0, one), (1.0, other), (1.0, one), (0.0, one), (-0.0, one), (0.0, one), (2.0, other), (1.0, other))
+    assert [launched(*call) for call in calls] == [1, 1, 0, 1, 1, 0, 1, 0]
+    with threads.marked_slices():
+        assert launched(1.0, one) == launched(1.0, one) == 1
+    memory = weakref.ref(one)
+    del one, calls
+    assert memory() is None
+
+
 BATCHES = (
     ("semi_global", "_ROOM", 1, "semi_global-(colour|slices-for|wide)"),
     ("semi_global", "_ROOM", 20000, "semi_global-(colour|slices-for|wide)"),
@@ -138,6 +163,7 @@ def test_the_paths_are_those_of_a_gpu(gpu: KernelSet, monkeypatch: pytest.Monkey
         return start(kernel, *arguments, **options)
 
     monkeypatch.setattr(wp, "launch", seen)
+    monkeypatch.setattr(sys.modules[f"{gpu_blocks.NAME}.threads"], "_commands", {})
     for name in ("data_term-two-by-two", "plane_sweep-two-by-two", "nlm_ratio-one-pixel", "semi_global-one-pixel"):
         operation, case = next(param.values for param in CELLS if param.id == name)
         checks.compute(gpu, "cpu", operation, INPUTS[operation.inputs][1](case, np.random.default_rng(0)))  # type: ignore[union-attr]
