@@ -89,12 +89,15 @@ class side_costs:
         self._at_once = 1 if place.is_cpu else min(_AT_ONCE, self._count)
         room = (len(slices(place, self._count)), self._at_once * self._sides, self._height * self._width)
         self._room = wp.empty(room, dtype=wp.vec2f, device=device)
+        self._given: tuple[float, float] | None = None
 
     def __call__(self, details: Any, first: float, step: float, volume_out: Any) -> None:
         place = self._shifts.device
-        shifts = sweep_shifts(self._offsets, Disparities(first, step, self._count))
-        whole = np.floor(shifts)
-        self._shifts.assign(np.concatenate([whole, shifts - whole], axis=2).astype(np.float32))
+        if self._given != (first, step):
+            shifts = sweep_shifts(self._offsets, Disparities(first, step, self._count))
+            whole = np.floor(shifts)
+            self._shifts.assign(np.concatenate([whole, shifts - whole], axis=2).astype(np.float32))
+            self._given = first, step
         lanes = 1 if place.is_cpu else self._width
         check_size(self._at_once * self._sides * self._height * lanes)
         load(place, self._differences, self._costs)

@@ -47,6 +47,15 @@ _TRIES = 3  # to widen a range at whose end there is evidence
 _AT_ONCE = 2**26  # bytes of views that a device holds at a time
 
 
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """The views in a line through the reference, those nearest to it first."""
+
+    views: NDArray[np.intp]
+    along: Float64Array  # their distances from the reference, view steps, those to the left or above negative
+    horizontal: bool
+
+
 @dataclass(frozen=True)
 class _Side:
     """Some views to one side of the reference."""
@@ -90,22 +99,22 @@ def find_disparity_range(
 
 def _found(lf: LightField, device: Device, shown: tuple[Array, Sequence[int]] | None) -> tuple[float, float]:
     """Find the range, see `find_disparity_range`; views may be reduced to a `_SIDE`-th of their shorter side."""
-    shorter, farthest = min(lf.size), lf.layout.farthest
-    nearest = _nearest(lf.layout)
+    shorter, farthest, lines = min(lf.size), lf.layout.farthest, _lines(lf.layout)
+    nearest = _nearest(lines)
     fine = max(1, round(shorter / _SIDE))
     sizes = [1, *(2**k for k in range(1, _COARSER + 1) if shorter // (2**k * fine) >= _COARSEST)]
     most = largest_disparity(lf.layout)
     search = _Search(lf, device, shown, fine)
     with device.asking():
-        found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:2][-1:])
+        found = search.compare(_sides(lines, nearest), (-most, most), sizes[:2][-1:])
         if len(sizes) > 1 and not np.isfinite(found[0].disparity).any():  # finer than the pixels of reduced views
-            found = search.compare(_sides(lf.layout, nearest), (-most, most), sizes[:1])
+            found = search.compare(_sides(lines, nearest), (-most, most), sizes[:1])
         low, high = _ends(lf, found)
         low, high = low - 2 * found[0].step, high + 2 * found[0].step
         for _ in range(_TRIES):
             reach = max(nearest, min(farthest, _SHIFT * shorter / max(abs(low), abs(high))))
             # The finest one sees thin things, coarser ones textures that are weaker than the noise.
-            found = search.compare(_sides(lf.layout, reach), (low, high), sizes)
+            found = search.compare(_sides(lines, reach), (low, high), sizes)
             first, last = _ends(lf, found)
             further, close = (high - low) / 2, 2.5 * max(evidence.step for evidence in found)
             if first >= low + close and last <= high - close:
@@ -118,7 +127,7 @@ def _found(lf: LightField, device: Device, shown: tuple[Array, Sequence[int]] | 
 
 def largest_disparity(layout: ViewLayout) -> float:
     """Return the largest disparity that is searched, pixels per view step."""
-    return min(_FARTHEST, _SHIFT * min(layout.size)) / _nearest(layout)
+    return min(_FARTHEST, _SHIFT * min(layout.size)) / _nearest(_lines(layout))
 
 
 def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
@@ -140,8 +149,9 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
         finer = is_known if finer is None else is_known | finer
         count = int(is_known.sum())
         outer = max(min(count // 100, _OUTLIERS), count // _UNCHECKED if evidence.unchecked else 0)
-        disparities = np.sort(disparity[is_evidence])
-        kept.append(disparities[outer : max(outer, len(disparities) - outer)])
+        disparities = disparity[is_evidence]
+        ends = [outer, len(disparities) - 1 - outer]
+        kept.append(np.partition(disparities, ends)[ends] if ends[0] <= ends[1] else disparities[:0])
     together = np.concatenate(kept)
     if not any(len(one) for one in kept[:_COARSER]):  # the coarsest alone is not believed
         raise LightFieldError(
@@ -152,34 +162,36 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
     return float(together.min()), float(together.max())
 
 
-def _along(layout: ViewLayout, *, horizontal: bool) -> tuple[NDArray[np.bool_], Float64Array]:
-    """Select the views to the left or right (above or below), bool [n]; and return the distances of all views, [n]."""
+def _lines(layout: ViewLayout) -> list[_Line]:
+    """List the lines of views, the horizontal one first, as far as they have views."""
     line = layout.pattern("cross")
     if line.sum() < 2:
         line = layout.pattern("full")
-    along, across = layout.offsets.T if horizontal else layout.offsets.T[::-1]
-    beside = line & (np.abs(along) >= np.abs(across)) & (np.abs(along) > 0)
-    return beside, along
+    found = []
+    for horizontal in (True, False):
+        along, across = layout.offsets.T if horizontal else layout.offsets.T[::-1]
+        beside = np.flatnonzero(line & (np.abs(along) >= np.abs(across)) & (np.abs(along) > 0))
+        if len(beside):
+            beside = beside[np.argsort(np.abs(along[beside]), kind="stable")]
+            found.append(_Line(beside, along[beside], horizontal))
+    return found
 
 
-def _nearest(layout: ViewLayout) -> float:
+def _nearest(lines: list[_Line]) -> float:
     """Return the distance of the nearest views, horizontally or vertically, whichever is larger; view steps."""
-    lines = [_along(layout, horizontal=horizontal) for horizontal in (True, False)]
-    return float(max(np.abs(along[beside]).min() for beside, along in lines if beside.any()))
+    return float(max(abs(line.along[0]) for line in lines))
 
 
-def _sides(layout: ViewLayout, reach: float) -> list[_Side]:
+def _sides(lines: list[_Line], reach: float) -> list[_Side]:
     """List the sides that have views, each with `_VIEWS` evenly chosen views within reach, or its nearest one."""
     sides = []
-    for horizontal in (True, False):
-        beside, along = _along(layout, horizontal=horizontal)
+    for line in lines:
         for sign in (-1, 1):
-            some = np.flatnonzero(beside & (sign * along > 0))
+            some, distance = line.views[sign * line.along > 0], np.abs(line.along[sign * line.along > 0])
             if len(some):
-                some = some[np.argsort(np.abs(along[some]), kind="stable")]
-                inside = max(1, int((np.abs(along[some]) <= 1.001 * reach).sum()))
+                inside = max(1, int((distance <= 1.001 * reach).sum()))
                 chosen = np.unique(np.ceil(np.linspace(0, inside, _VIEWS + 1)[1:]).astype(int) - 1)
-                sides.append(_Side([int(index) for index in some[chosen]], horizontal))
+                sides.append(_Side([int(index) for index in some[chosen]], line.horizontal))
     return sides
 
 
@@ -222,13 +234,22 @@ class _Search:
             for horizontal in sorted({side.horizontal for side in sides})
         )
         size, offsets, reference = (len(chosen), *self._size), lf.offsets[chosen] / factor, at[lf.reference_index]
+        name, kind = (len(chosen), times), (size, offsets.tobytes(), lines, reference)
         compare = self._device.kept(
-            ("comparison", len(chosen), times),
-            (size, offsets.tobytes(), lines, reference, count),
-            lambda: _Comparison(self._device, size, offsets, lines, reference, times=times, count=count),
+            ("comparison", *name), kind[:1], lambda: _Comparison(self._device, size, times=times)
+        )
+        costs = self._device.kept(
+            ("costs", *name),
+            (*kind, count),
+            lambda: _Costs(self._device, compare.shape, offsets, lines, reference, count=count),
         )
         disparity = compare(
-            images, bounds[0], step, apart=max(1, round(_APART * factor / far / step)), least_noise=self._least_noise
+            images,
+            costs,
+            bounds[0],
+            step,
+            apart=max(1, round(_APART * factor / far / step)),
+            least_noise=self._least_noise,
         )
         return _Evidence(disparity, step, len(lines) == len(sides) and all(len(side.views) == 1 for side in sides))
 
@@ -255,12 +276,8 @@ class _Search:
         return device.field(np.concatenate([kernels.numpy(part) for part in parts]))
 
 
-class _Comparison:
-    """A comparison of images [n, y, x], with its plans and its memory.
-
-    Views differ at pixels that are evidence by the noise at most, along each line, and by clearly more at all other
-    disparities. The noise is the median difference at the better textured half of the pixels.
-    """
+class _Costs:
+    """Costs of images [n, y, x] at a number of disparities, with their plan and their memory."""
 
     def __init__(
         self,
@@ -270,22 +287,37 @@ class _Comparison:
         lines: Sequence[Sequence[Sequence[int]]],
         reference: int,
         *,
-        times: int,
         count: int,
     ) -> None:
-        n, height, width = shape[0], shape[1] // times, shape[2] // times
-        self._kernels, small = device.kernels, (n, height, width)
+        self._find = device.kernels.side_costs(shape, offsets, lines, device.name, reference=reference, count=count)
+        self._volume = device.zeros((len(lines), count, *shape[1:]))
+
+    def __call__(self, details: Array, first: float, step: float) -> Array:
+        self._find(details, first, step, self._volume)
+        return self._volume
+
+
+class _Comparison:
+    """A comparison of images [n, y, x], with all that does not depend on the number of disparities.
+
+    Views differ at pixels that are evidence by the noise at most, along each line, and by clearly more at all other
+    disparities. The noise is the median difference at the better textured half of the pixels.
+    """
+
+    def __init__(self, device: Device, shape: tuple[int, ...], *, times: int) -> None:
+        self.shape = shape[0], shape[1] // times, shape[2] // times
+        self._kernels = device.kernels
         self._reduce = self._kernels.details(shape, device.name, factor=times, window=_DETAIL)
-        self._compare = self._kernels.side_costs(small, offsets, lines, device.name, reference=reference, count=count)
-        self._details, self._volume = device.zeros(small), device.zeros((len(lines), count, height, width))
-        *self._found, self._disparity = (device.zeros((height, width)) for _ in range(6))
+        self._details = device.zeros(self.shape)
+        *self._found, self._disparity = (device.zeros(self.shape[1:]) for _ in range(6))
         self._noise = Typical(device)
 
-    def __call__(self, images: Array, first: float, step: float, *, apart: int, least_noise: float) -> Array:
+    def __call__(
+        self, images: Array, costs: _Costs, first: float, step: float, *, apart: int, least_noise: float
+    ) -> Array:
         """Compare at the disparities from `first` on; return those of the pixels that are evidence, NaN elsewhere."""
         self._reduce(images, self._details)
-        self._compare(self._details, first, step, self._volume)
-        self._kernels.distinct_minimum(self._volume, apart=apart, found_out=self._found)
+        self._kernels.distinct_minimum(costs(self._details, first, step), apart=apart, found_out=self._found)
         self._kernels.agreeing_disparity(
             self._found,
             self._noise(self._found[1], self._found[2]),
