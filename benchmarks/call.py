@@ -17,6 +17,7 @@ from benchmarks.tables import NONE, Table
 from lfgpu import DepthPipeline, LightField, estimate_depth, scenes
 from lfgpu._backends import load, open_device
 from lfgpu.cameras import looking, screening
+from lfgpu.cameras.points import Windows
 from lfgpu.contract import Device
 from lfgpu.data import DepthResult
 from lfgpu.methods import base
@@ -38,13 +39,15 @@ _PARTS: dict[str, tuple[Any, str]] = {
     "result": (DepthPipeline, "result"),
     "verdict": (verdict, "verdict_of"),
     "screen": (looking, "worth_a_look"),
-    "points": (screening, "some_on_surfaces"),
+    "windows": (Windows, "rank"),
+    "points": (Windows, "on_surfaces"),
     "off": (screening, "_fault"),
     "swapped": (screening, "_may_be_swapped"),
 }
 """Functions that are timed. Views are uploaded and measured (range and beside it grain, noise) while the pipeline takes
-them, and other numbers go to the plan, or a new plan is made; work is captured, and the result copied, within the
-estimate; cameras are screened for the verdict, at points, for views that may be off, and beside that for swapped axes.
+them, and other numbers go to the plan, or a new plan is made; work is captured, windows of the reference view ranked,
+and the result copied, within the estimate; cameras are screened for the verdict, at points in these windows, for views
+that may be off, and beside that for swapped axes.
 """
 
 

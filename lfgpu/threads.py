@@ -105,7 +105,7 @@ def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item], *, most: 
     with ThreadPoolExecutor(min(get_threads(), most or get_threads())) as pool:
         results = pool.map(work, items)
         try:
-            _do_waiting()
+            do_waiting()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -114,19 +114,20 @@ def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item], *, most: 
 
 @contextmanager
 def meanwhile(work: Callable[[], None]) -> Iterator[None]:
-    """Do `work` on this thread while the block's first call of `in_threads` waits for others, at its end at the latest.
+    """Do `work` on this thread when the block first waits for other threads or a device, at its end at the latest.
 
     It is not done if the block raises before. What it raises itself ends the block.
     """
     _here.work = work
     try:
         yield
-        _do_waiting()
+        do_waiting()
     finally:
         _here.work = None
 
 
-def _do_waiting() -> None:
+def do_waiting() -> None:
+    """Do the work of `meanwhile` now if that is still to do; called by who has asked others for something."""
     work, _here.work = getattr(_here, "work", None), None
     if work is None:
         return

@@ -14,6 +14,7 @@ import lfgpu
 from benchmarks import call
 from lfgpu import scenes
 from lfgpu._backends import load, open_device
+from lfgpu.cameras import points
 from lfgpu.contract import Device
 from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
@@ -118,6 +119,25 @@ def test_light_fields_of_a_kind_share_plan_and_graph(config: Any, monkeypatch: p
     if config == "surest":
         counts = [padded_disparities(bounds, fields[0].layout.farthest).count for bounds in ranges]
     assert made == ["plan", "graph"] * (1 + np.count_nonzero(np.diff(counts)))
+
+
+@pytest.mark.parametrize("check", [True, False])
+def test_windows_are_ranked_once_while_a_gpu_works(check: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    said: list[str] = []
+
+    def tell(home: Any, name: str) -> None:
+        function = getattr(home, name)
+        monkeypatch.setattr(home, name, lambda *given, **options: (said.append(name), function(*given, **options))[1])
+
+    lf = a_scene(0)
+    alone = lfgpu.estimate_depth(lf, config="fast", device="cpu", check_cameras=check)
+    monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))
+    for home, name in ((DepthPipeline, "work"), (points, "_ranked"), (load(), "number"), (load(), "numpy")):
+        tell(home, name)
+    assert_equal(lfgpu.estimate_depth(replace(lf), config="fast", device="cpu", check_cameras=check), alone)
+    assert said.count("_ranked") == check
+    begun = said.index("work")
+    assert said[begun : begun + 3] == (["work", "_ranked", "number"] if check else ["work", "number", "numpy"])
 
 
 @pytest.mark.parametrize("config", ["fast", "accurate"])

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from lfgpu.cameras import consensus, signs
 from lfgpu.cameras.bundle import Bundle, most_points
 from lfgpu.cameras.findings import Cameras, axes, brightness, placement, strangers
-from lfgpu.cameras.points import Points, choose_points, textured
+from lfgpu.cameras.points import Points, Windows, choose_points, textured
 from lfgpu.cameras.screening import worth_a_look
 from lfgpu.cameras.surface import LABELS, grey, patches, sweep
 from lfgpu.cameras.tones import match_tones
@@ -91,20 +91,22 @@ def look(
     budget: Budget,
     seen: Sequence[int] | NDArray[np.intp] | None = None,
     in_part: bool = False,
+    windows: Windows | None = None,
 ) -> Look | None:
     """Look at the cameras of a light field; None if nothing can be wrong by the screening, or the views do not tell.
 
     Without a map [y, x] of the reference view the budget is "screen", and the look finds faults of all cameras
     together: out of line, of different brightness, one axis with the wrong sign. With one, it looks at the views
     `seen`, by default all. `in_part` looks at 33 of these and at their middle, 4 million pixels in all: faults of other
-    single views stay hidden. Others wait for the device meanwhile.
+    single views stay hidden. Others wait for the device meanwhile. The screening of a whole light field uses its
+    `windows` if they have been ranked before.
     """
     if disparity is None:
         return _look_without_map(lf, device)
     if in_part:
         lf, window = part_of(lf, views=_VIEWS, pixels=_PIXELS, among=seen)
-        disparity, seen = disparity[window], None
-    if budget == "screen" and not worth_a_look(lf, disparity, seen):
+        disparity, seen, windows = disparity[window], None, None
+    if budget == "screen" and not worth_a_look(lf, disparity, seen, windows):
         return None
     if seen is not None:
         lf = lf.subset(seen)

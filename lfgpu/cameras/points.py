@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import reduce
+from dataclasses import dataclass, replace
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -101,69 +101,97 @@ def on_surfaces(
     return map_, *textured(smoothed(grey(lf, lf.reference_index), 0.7), eroded(known, 3) & smooth, most)
 
 
-def some_on_surfaces(
-    lf: LightField, disparity: NDArray[np.floating], most: int
-) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]:
-    """Choose points amid windows of 6 x 6 pixels on smooth surfaces: the map, NaN where it is unknown, rows, columns.
+class Windows:
+    """Windows of 6 x 6 pixels of the reference view, at most about `_PLACES` along each side, by their texture."""
 
-    At most about `_PLACES` such windows along each side are looked at.
-    """
-    map_, view = disparity.astype(np.float32, copy=False), lf.views[lf.reference_index]
-    if lf.valid is not None:
-        map_ = np.where(lf.valid[lf.reference_index], map_, np.float32(np.nan))
-    step = max(_LEAST_STEP, -(-max(lf.size) // _PLACES))
+    def __init__(self, lf: LightField) -> None:
+        self.lf = lf
+        self._step = max(_LEAST_STEP, -(-max(lf.size) // _PLACES))
 
-    def rows(values: NDArray[Any], *places: int) -> list[NDArray[Any]]:
+    def rank(self) -> None:
+        """Order the windows by texture now: it is done once, and needs no map."""
+        _ = self._ranked
+
+    @cached_property
+    def _ranked(self) -> _Ranked:
+        lf, rows = self.lf, self._rows
+        view = lf.views[lf.reference_index]
+
+        def pair(first: int) -> NDArray[np.float32]:
+            """Add two rows of each window, and their colours."""
+            sums = np.add(*rows(view, first, first + 1), dtype=np.uint16 if view.dtype == np.uint8 else np.float32)
+            return reduce(np.add, np.moveaxis(sums, -1, 0)).astype(np.float32, copy=False)
+
+        upper, lower = pair(1), pair(3)
+        left, near_left, near_right, right = rows((upper + lower).T, 1, 2, 3, 4)
+        across, down = right + near_right - near_left - left, reduce(np.add, rows((lower - upper).T, 1, 2, 3, 4))
+        return _ranked(np.hypot(across, down).T * np.float32(lf.scale / (16 * lf.channels)))
+
+    def on_surfaces(
+        self, disparity: NDArray[np.floating], most: int
+    ) -> tuple[NDArray[np.float32], NDArray[np.intp], NDArray[np.intp]]:
+        """Choose points amid windows on smooth surfaces: the map, NaN where it is unknown, rows, columns."""
+        lf, rows, whole = self.lf, self._rows, range(_WINDOW)
+        map_ = disparity.astype(np.float32, copy=False)
+        if lf.valid is not None:
+            map_ = np.where(lf.valid[lf.reference_index], map_, np.float32(np.nan))
+        nearest, least = (
+            reduce(end, rows(reduce(end, rows(map_, *whole)).T, *whole)).T for end in (np.maximum, np.minimum)
+        )
+        y, x, _ = self._ranked.some(nearest - least <= _EDGE / farthest(lf)).strongest(most)
+        return map_, self._step * y + _WINDOW // 2 - 1, self._step * x + _WINDOW // 2 - 1
+
+    def _rows(self, values: NDArray[Any], *places: int) -> list[NDArray[Any]]:
         """Take those rows of each window."""
-        return [values[k::step][: max(0, (len(values) - _WINDOW) // step + 1)] for k in places]
-
-    whole = range(_WINDOW)
-    nearest, least = (
-        reduce(end, rows(reduce(end, rows(map_, *whole)).T, *whole)).T for end in (np.maximum, np.minimum)
-    )
-
-    def pair(first: int) -> NDArray[np.float32]:
-        """Add two rows of each window, and their colours."""
-        sums = np.add(*rows(view, first, first + 1), dtype=np.uint16 if view.dtype == np.uint8 else np.float32)
-        return reduce(np.add, np.moveaxis(sums, -1, 0)).astype(np.float32, copy=False)
-
-    upper, lower = pair(1), pair(3)
-    left, near_left, near_right, right = rows((upper + lower).T, 1, 2, 3, 4)
-    across, down = right + near_right - near_left - left, reduce(np.add, rows((lower - upper).T, 1, 2, 3, 4))
-    strength = np.hypot(across, down).T * np.float32(lf.scale / (16 * lf.channels))
-    y, x, _ = strongest(strength, nearest - least <= _EDGE / farthest(lf), most)
-    return map_, step * y + _WINDOW // 2 - 1, step * x + _WINDOW // 2 - 1
+        return [values[k :: self._step][: max(0, (len(values) - _WINDOW) // self._step + 1)] for k in places]
 
 
 def textured(
     image: NDArray[np.float32], usable: NDArray[np.bool_], most: int
 ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
     """Choose up to `most` usable pixels [y, x] of an image where it has texture: rows, columns, tiles."""
-    return strongest(gradient_size(image), usable, most, every=3)  # neighbours tell the same
+    return _ranked(gradient_size(image), usable).strongest(most, every=3)  # neighbours tell the same
 
 
-def strongest(
-    strength: NDArray[np.float32], usable: NDArray[np.bool_], most: int, *, every: int = 1
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Choose up to `most` usable pixels [y, x] by the strength of their gradients: rows, columns, tiles.
-
-    Of the strongest of each part, only one in `every` is chosen.
-    """
-    side = max(strength.shape) / _TILES
-    rows, columns = np.nonzero(usable & (strength >= _LEAST_GRADIENT))
+def _ranked(strength: NDArray[np.float32], usable: NDArray[np.bool_] | None = None) -> _Ranked:
+    """Order the pixels [y, x] by the strength of their gradients, the strongest of each tile first."""
+    side, is_textured = max(strength.shape) / _TILES, strength >= _LEAST_GRADIENT
+    rows, columns = np.nonzero(is_textured if usable is None else usable & is_textured)
     row, column = ((np.arange(size) / side).astype(np.uint64) for size in strength.shape)
     tiles = row[rows] * np.uint64(_TILES) + column[columns]
     # By tile, and the strongest first: positive numbers are in the order of their bits. The last bits are the place.
     room = np.uint64(max(25, len(rows).bit_length()))
     weakness = np.uint64(2**31 - 1) - strength[rows, columns].view(np.uint32) >> room - np.uint64(25)
     keys = np.sort(tiles << _TILE | weakness << room | np.arange(len(rows), dtype=np.uint64))
-    if len(keys) > most:
-        starts = np.searchsorted(keys, np.arange(_TILES**2 + 1, dtype=np.uint64) << _TILE)
-        counts = np.diff(starts)
-        rank = every * np.arange(max(1, most // int(np.count_nonzero(counts))))
-        keys = keys[(starts[:-1, None] + rank)[rank < counts[:, None]]]
-    order = (keys & (np.uint64(1) << room) - np.uint64(1)).astype(np.intp)
-    return rows[order], columns[order], (keys >> _TILE).astype(np.intp)
+    return _Ranked(keys, (np.uint64(1) << room) - np.uint64(1), rows, columns)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ranked:
+    """Pixels with texture in order: a key has the tile in its first bits, and which of the pixels it is in its last."""
+
+    keys: NDArray[np.uint64]
+    last: np.uint64  # these bits
+    rows: NDArray[np.intp]  # of the pixels, as the columns, in any order
+    columns: NDArray[np.intp]
+
+    def some(self, usable: NDArray[np.bool_]) -> _Ranked:
+        """Select pixels by a mask [y, x]."""
+        return replace(self, keys=self.keys[usable[self.rows, self.columns][self._order(self.keys)]])
+
+    def strongest(self, most: int, *, every: int = 1) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+        """Choose up to `most`, of the strongest of each tile one in `every`; returns their rows, columns and tiles."""
+        keys = self.keys
+        if len(keys) > most:
+            starts = np.searchsorted(keys, np.arange(_TILES**2 + 1, dtype=np.uint64) << _TILE)
+            counts = np.diff(starts)
+            rank = every * np.arange(max(1, most // int(np.count_nonzero(counts))))
+            keys = keys[(starts[:-1, None] + rank)[rank < counts[:, None]]]
+        order = self._order(keys)
+        return self.rows[order], self.columns[order], (keys >> _TILE).astype(np.intp)
+
+    def _order(self, keys: NDArray[np.uint64]) -> NDArray[np.intp]:
+        return (keys & self.last).astype(np.intp)
 
 
 def hidden(

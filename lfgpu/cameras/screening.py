@@ -8,13 +8,14 @@ grow and change in brightness. Half of a finding makes the cameras worth a look,
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.cameras import consensus, findings
 from lfgpu.cameras.bundle import spread, spreads
-from lfgpu.cameras.points import hidden, some_on_surfaces
+from lfgpu.cameras.points import Windows, hidden
 from lfgpu.cameras.signs import order_of_depth
 from lfgpu.cameras.surface import blocks, looked_up, with_slopes
 from lfgpu.contract import Float64Array
@@ -34,19 +35,24 @@ _AS_GOOD = 0.7  # of the loss: right cameras leave at most half of what the othe
 
 
 def worth_a_look(
-    lf: LightField, disparity: NDArray[np.float32], seen: Sequence[int] | NDArray[np.intp] | None = None
+    lf: LightField,
+    disparity: NDArray[np.float32],
+    seen: Sequence[int] | NDArray[np.intp] | None = None,
+    windows: Windows | None = None,
 ) -> bool:
     """Tell whether something may be wrong with the cameras of the views `seen`, by default all.
 
-    `disparity` is the map of the reference view [y, x].
+    `disparity` is the map of the reference view [y, x]. Its `windows` may have been ranked before.
     """
     index = np.arange(len(lf.views)) if seen is None else lf.layout.chosen(seen)
-    return any(in_threads(lambda is_wrong: is_wrong(lf, index, disparity), (_may_be_off, _may_be_swapped)))
+    tests = partial(_may_be_off, windows or Windows(lf), index), partial(_may_be_swapped, lf, index)
+    return any(in_threads(lambda is_wrong: is_wrong(disparity), tests))
 
 
-def _may_be_off(lf: LightField, index: NDArray[np.intp], disparity: NDArray[np.float32]) -> bool:
+def _may_be_off(windows: Windows, index: NDArray[np.intp], disparity: NDArray[np.float32]) -> bool:
     """Tell whether views may be off, or there are too few points to say."""
-    map_, y, x = some_on_surfaces(lf, disparity, min(max(_IN_ALL // len(index), _LEAST), _MOST))
+    lf = windows.lf
+    map_, y, x = windows.on_surfaces(disparity, min(max(_IN_ALL // len(index), _LEAST), _MOST))
     if len(x) < _FEWEST:
         return True
     first = _fault(lf, index, map_, y[::_FIRST], x[::_FIRST])  # so few of which are hidden that they are outliers

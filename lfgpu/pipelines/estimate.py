@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import Any
 
-from lfgpu._backends import DEFAULT, BackendName
+from lfgpu._backends import DEFAULT, BackendName, open_device
+from lfgpu.cameras.points import Windows
 from lfgpu.config import Config
 from lfgpu.data import DepthResult, LightField, check_light_field
 from lfgpu.methods import PresetName, configured
@@ -14,7 +16,8 @@ from lfgpu.methods.footprint import TooLittleMemoryError, parse_memory
 from lfgpu.pipelines.pipeline import Progress
 from lfgpu.pipelines.resident import KEPT
 from lfgpu.pipelines.tiles import estimate_in_tiles
-from lfgpu.pipelines.verdict import judged
+from lfgpu.pipelines.verdict import judged_on
+from lfgpu.threads import meanwhile
 
 
 def estimate_depth(
@@ -100,9 +103,11 @@ def estimate_depth(
     }
     limit = None if max_memory is None else parse_memory(max_memory)
     notes: tuple[str, ...] = ()
+    windows = Windows(lf)
     if limit is None:
         try:
-            result = KEPT.estimate(lf, **options)
+            with meanwhile(windows.rank) if check_cameras else nullcontext():
+                result = KEPT.estimate(lf, **options)
         except TooLittleMemoryError as error:
             limit = error.limit
             notes = (f"The map was made in tiles: in one piece it takes about {error.sizes}.",)
@@ -110,12 +115,12 @@ def estimate_depth(
         KEPT.free()
         result = estimate_in_tiles(lf, **options, max_memory=limit)
         result = replace(result, notes=(*notes, *result.notes))
-    return judged(
+    return judged_on(
         lf,
         result,
+        open_device(backend, result.device),
         disparity_range=disparity_range,
-        backend=backend,
-        device=result.device,
         check_cameras=check_cameras,
         in_part=limit is not None,
+        windows=windows,
     )

@@ -29,6 +29,7 @@ from lfgpu.pipelines.range_confirmation import confirm
 from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
 from lfgpu.pipelines.rehearsal import Rehearsal
 from lfgpu.pipelines.verdict import map_notes
+from lfgpu.threads import do_waiting
 
 _LOG = logging.getLogger(__name__)
 _NOT_FINITE = "views hold NaN or infinity; mask or replace these values."
@@ -400,6 +401,7 @@ class DepthPipeline:
         with self._timed(part):
             with self._device.asking():
                 work()
+            do_waiting()
             self.kernels.number(self._waited_for)
 
     def _widen(self, stage: str, on_progress: Progress | None) -> None:

@@ -12,12 +12,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu._backends import DEFAULT, BackendName, open_device
 from lfgpu.cameras.looking import Look, checked_map, look, seen_views
+from lfgpu.cameras.points import Windows
 from lfgpu.cameras.trust import trusted
 from lfgpu.config import Config
 from lfgpu.contract import Device, Float32Array, Float64Array
@@ -129,16 +131,14 @@ def judged(
     """
     check_light_field(lf)
     check_result(result)
-    found = verdict_of(
-        lf,
-        result,
-        open_device(backend, device),
-        disparity_range=disparity_range,
-        check_cameras=check_cameras,
-        seen=seen_views(lf.offsets, method_of(result.config).used_views(lf.offsets)),
-        in_part=in_part,
-    )
-    return found.on(lf, result)
+    options = {"disparity_range": disparity_range, "check_cameras": check_cameras, "in_part": in_part}
+    return judged_on(lf, result, open_device(backend, device), **options)
+
+
+def judged_on(lf: LightField, result: DepthResult, device: Device, **options: Any) -> DepthResult:
+    """Judge a map on a device as `judged` does, unchecked; `options` are further keywords of `verdict_of`."""
+    seen = seen_views(lf.offsets, method_of(result.config).used_views(lf.offsets))
+    return verdict_of(lf, result, device, seen=seen, **options).on(lf, result)
 
 
 def needed_views(config: Config, pattern: str = "full") -> Callable[[Float64Array], NDArray[np.intp]]:
@@ -160,10 +160,11 @@ def verdict_of(
     check_cameras: bool = True,
     seen: NDArray[np.intp] | None = None,
     in_part: bool = False,
+    windows: Windows | None = None,
 ) -> Verdict:
     """Judge a light field by a result of its reference view, the cameras by the views `seen`, by default all.
 
-    Other parameters, and the errors, are those of `judged`.
+    Other parameters, and the errors, are those of `judged`; `windows` are for `look`.
     """
     if (still := no_parallax(lf)) is not None:
         return Verdict(f"{still} The map means nothing.", shows_nothing=True)
@@ -171,7 +172,8 @@ def verdict_of(
     if found.note is not None or not check_cameras or not np.isfinite(result.disparity).any():
         return found  # by a map that is wrong everywhere, right cameras look askew
     disparity = checked_map(lf, result)
-    return replace(found, cameras=look(lf, disparity, device, budget="screen", seen=seen, in_part=in_part))
+    cameras = look(lf, disparity, device, budget="screen", seen=seen, in_part=in_part, windows=windows)
+    return replace(found, cameras=cameras)
 
 
 def views_alone(lf: LightField, device: Device) -> tuple[tuple[str, ...], tuple[str, ...]]:
