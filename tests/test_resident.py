@@ -15,12 +15,13 @@ from benchmarks import call
 from lfgpu import scenes
 from lfgpu._backends import load, open_device
 from lfgpu.cameras import points
-from lfgpu.contract import Device
+from lfgpu.contract import Device, memory, take_host_memory
 from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
 from lfgpu.methods import method_of
 from lfgpu.methods.matching import frame, noise
 from lfgpu.methods.matching.disparities import padded_disparities
+from lfgpu.pipelines import pipeline as pipeline_module
 from lfgpu.pipelines.pipeline import DepthPipeline
 from lfgpu.pipelines.resident import KEPT, _return_memory, kept_memory, set_kept_memory
 from tests.made import masked as with_masks, thorough
@@ -138,6 +139,35 @@ def test_windows_are_ranked_once_while_a_gpu_works(check: bool, monkeypatch: pyt
     assert said.count("_ranked") == check
     begun = said.index("work")
     assert said[begun : begun + 3] == (["work", "_ranked", "number"] if check else ["work", "number", "numpy"])
+
+
+@pytest.mark.parametrize("config", ["fast", "accurate"])
+def test_memory_of_a_result_is_taken_while_a_gpu_works(config: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    kernels, blocks = load(), list[Any]()
+    copied = kernels.numpy
+
+    def take(size: int, count: int) -> None:
+        take_host_memory(size, count)
+        blocks.extend(memory._here.taken)
+
+    def read(array: Any) -> Any:
+        values = memory.host_memory(array.shape, np.float32)
+        values[...] = copied(array)
+        return values
+
+    lf = a_scene(0)
+    alone = lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False)
+    KEPT.free()
+    monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))
+    monkeypatch.setattr(pipeline_module, "take_host_memory", take)
+    monkeypatch.setattr(kernels, "numpy", read)
+    found = lfgpu.estimate_depth(lf, config=config, device="cpu", check_cameras=False)
+    KEPT.free()
+    assert_equal(found, alone)
+    maps = [found.disparity, found.confidence, found.uncertainty, *found.stages.values()]
+    used = sum(any(np.shares_memory(block, map_) for map_ in maps) for block in blocks)
+    assert used == len(maps) == len(blocks) - 1  # the range was confirmed by one more
+    assert memory._here.taken == []
 
 
 @pytest.mark.parametrize("config", ["fast", "accurate"])

@@ -13,6 +13,7 @@ import taichi as ti
 from numpy.typing import NDArray
 from taichi.lang.util import to_numpy_type
 
+from lfgpu.contract import host_memory
 from lfgpu.errors import BackendError
 
 from .runtime import DeviceArray as DeviceArray, alone, double, most_bytes, once, run, stages_arrays, start
@@ -227,7 +228,7 @@ def numpy(array: DeviceArray) -> NDArray[Any]:
 
 def read(array: DeviceArray, scalar: DeviceArray) -> tuple[NDArray[Any], float]:
     elements = array.values.element_shape
-    values: NDArray[Any] = np.empty(array.values.shape + elements, to_numpy_type(array.scalar))
+    values = host_memory(array.values.shape + elements, to_numpy_type(array.scalar))
     number = run(_read_kernel(array.scalar, *elements), array, scalar, values)  # Taichi's own copy waits twice
     return values.reshape(array.shape if array.channels is None else (*array.shape, array.channels)), float(number)
 

@@ -16,6 +16,8 @@ import numpy as np
 import warp as wp
 from numpy.typing import NDArray
 
+from lfgpu.contract import host_memory
+
 from .asking import asking, started
 from .threads import cache_is_closed, in_slices, once
 
@@ -154,7 +156,7 @@ class _Staging:
 
     def receive(self, source: Any) -> NDArray[np.uint8]:
         """Bytes of the device, once all is done that its stream was asked for."""
-        values = np.empty(source.shape[0], np.uint8)
+        values: NDArray[np.uint8] = host_memory(source.shape, np.uint8)
         with self._lock:
             for first in range(0, len(values), _PART * _PARTS):
                 parts = [values[k : k + _PART] for k in range(first, min(first + _PART * _PARTS, len(values)), _PART)]

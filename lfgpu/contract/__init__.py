@@ -45,6 +45,7 @@ from lfgpu.contract.matching import (
     sweep_shifts,
 )
 from lfgpu.contract.measuring import GRAIN_WINDOW
+from lfgpu.contract.memory import host_memory, take_host_memory
 from lfgpu.contract.prior import NlmWeights, OverPatch, PatchGradients, half_window
 from lfgpu.contract.range_search import UNSEEN, Details, SideCosts
 from lfgpu.contract.solvers import Lbfgs, Residuals
@@ -104,7 +105,9 @@ __all__ = [
     "ViewSets",
     "ZBuffer",
     "half_window",
+    "host_memory",
     "peak_features",
     "sectors_of",
     "sweep_shifts",
+    "take_host_memory",
 ]

@@ -1,5 +1,7 @@
 """Arrays and numbers on a device, and what they hold."""
 
+import math
+import threading
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -7,6 +9,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract.arrays import Array, Scalar
+
+_here = threading.local()
+
+
+def take_host_memory(size: int, count: int) -> None:
+    """Take memory for `count` arrays of `size` bytes from the system, for this thread's next calls of `host_memory`.
+
+    To write to pages for the first time takes many times as long as to write to them again.
+    """
+    _here.taken = [np.ones(size, np.uint8) for _ in range(count)]
+
+
+def host_memory(shape: Sequence[int], dtype: Any) -> NDArray[Any]:
+    """Return an array like `numpy.empty`, in memory that was taken before if its size is the same."""
+    taken, size = getattr(_here, "taken", None), math.prod(shape) * np.dtype(dtype).itemsize
+    if not taken or len(taken[-1]) != size:
+        return np.empty(shape, dtype)
+    return np.asarray(taken.pop().view(dtype).reshape(shape))
 
 
 class Memory(Protocol):
@@ -51,7 +71,10 @@ class Memory(Protocol):
         """
 
     def numpy(self, array: Array) -> NDArray[Any]:
-        """Copy a field or an image to a NumPy array with the channels last; wait for the device."""
+        """Copy a field or an image to a NumPy array with the channels last; wait for the device.
+
+        Large arrays from a GPU come in `host_memory`.
+        """
 
     def number(self, scalar: Scalar) -> float:
         """Read a scalar; wait for the device."""

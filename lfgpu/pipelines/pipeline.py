@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import os
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -14,7 +15,7 @@ import numpy as np
 
 from lfgpu._backends import DEFAULT, BackendName, open_device, package_of
 from lfgpu.config import Config
-from lfgpu.contract import Float32Array
+from lfgpu.contract import Float32Array, host_memory, take_host_memory
 from lfgpu.data import DepthResult, LightField, check_light_field, interop
 from lfgpu.data.light_field_checks import check_scaled
 from lfgpu.data.mapping import is_mapped
@@ -301,7 +302,10 @@ class DepthPipeline:
                     self._follow(self.stages(), on_progress)
             self._timings["total"] += sum(before.values())
             self._runs, self._is_whole, self._is_loaded = self._runs + 1, True, True
-        return self.result()
+        try:
+            return self.result()
+        finally:
+            take_host_memory(0, 0)
 
     def _follow(self, stages: Iterable[str], on_progress: Progress | None) -> None:
         for stage in stages:
@@ -313,7 +317,8 @@ class DepthPipeline:
 
     def _follow_at_once(self) -> None:
         """Run all stages, and wait for the last only; again those after the first one, if that takes a wider range."""
-        self._done("run", self._captured() or self.work)
+        several = len(self.method.stages) + 4  # that of the first one twice; disparity, confidence, uncertainty
+        self._done("run", self._captured() or self.work, maps=several)
         first, measured = self.method.MATCHED, self.measured
         if first is not None and self._runs == 0:
             self._widen(first, None)
@@ -345,7 +350,8 @@ class DepthPipeline:
         self._check_whole()
         self._plan.check(self._lf.name, self.kernels.number(self._plan.trust))
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
-        disparity = maps[self.method.stages[-1].name].copy()
+        disparity = host_memory(lf.size, np.float32)
+        disparity[...] = maps[self.method.stages[-1].name]
         position = lf.positions[lf.reference_index]
         confidence = self.kernels.numpy(self._plan.confidence).astype(np.float32, copy=False)
         return DepthResult(
@@ -396,12 +402,17 @@ class DepthPipeline:
         if self._is_raw:
             self._done("rectify", self._front.work)
 
-    def _done(self, part: str, work: Callable[[], object]) -> None:
-        """Ask for some work, wait until the device has done it, and time it as a part of the estimate."""
+    def _done(self, part: str, work: Callable[[], object], *, maps: int = 0) -> None:
+        """Ask for some work, wait until the device has done it, and time it as a part of the estimate.
+
+        While the device works, the host takes memory for so many `maps`.
+        """
         with self._timed(part):
             with self._device.asking():
                 work()
             do_waiting()
+            if maps:
+                take_host_memory(4 * math.prod(self._lf.size), maps)
             self.kernels.number(self._waited_for)
 
     def _widen(self, stage: str, on_progress: Progress | None) -> None:
