@@ -17,7 +17,7 @@ _THREADS = 1024  # that find a quantile on a GPU
 
 
 def _quantile_kernel() -> Any:
-    return kernel("measuring.cuh", "find_quantile", BLOCK=_THREADS)
+    return kernel("measuring.cuh", "find_quantile", launch_bounds=(_THREADS, 1), BLOCK=_THREADS)
 
 
 def _kernel(name: str, channels: int, block: int) -> Any:
