@@ -292,17 +292,17 @@ class DepthPipeline:
         The first run also does what `confirm_range` does.
         """
         before = self._timings if self._runs == 0 else {}  # what came before the first run is a part of it
-        with self._whole_or_undone():
-            self._timings = dict(before)
-            with self._timed("total"):
-                if on_progress is None and self._device.is_gpu and self.method.is_on_device:
-                    self._follow_at_once()
-                else:
-                    self._rectify()
-                    self._follow(self.stages(), on_progress)
-            self._timings["total"] += sum(before.values())
-            self._runs, self._is_whole, self._is_loaded = self._runs + 1, True, True
         try:
+            with self._whole_or_undone():
+                self._timings = dict(before)
+                with self._timed("total"):
+                    if on_progress is None and self._device.is_gpu and self.method.is_on_device:
+                        self._follow_at_once()
+                    else:
+                        self._rectify()
+                        self._follow(self.stages(), on_progress)
+                self._timings["total"] += sum(before.values())
+                self._runs, self._is_whole, self._is_loaded = self._runs + 1, True, True
             return self.result()
         finally:
             take_host_memory(0, 0)
@@ -317,8 +317,8 @@ class DepthPipeline:
 
     def _follow_at_once(self) -> None:
         """Run all stages, and wait for the last only; again those after the first one, if that takes a wider range."""
-        several = len(self.method.stages) + 4  # that of the first one twice; disparity, confidence, uncertainty
-        self._done("run", self._captured() or self.work, maps=several)
+        # Those of the stages, that of the first one twice, and disparity, confidence and uncertainty.
+        self._done("run", self._captured() or self.work, maps=len(self.method.stages) + 4)
         first, measured = self.method.MATCHED, self.measured
         if first is not None and self._runs == 0:
             self._widen(first, None)
@@ -350,8 +350,9 @@ class DepthPipeline:
         self._check_whole()
         self._plan.check(self._lf.name, self.kernels.number(self._plan.trust))
         lf, solution, maps = self._lf, self._plan.solution(), self._plan.maps()
-        disparity = host_memory(lf.size, np.float32)
-        disparity[...] = maps[self.method.stages[-1].name]
+        final = maps[self.method.stages[-1].name]
+        disparity = host_memory(final.shape, final.dtype)
+        disparity[...] = final
         position = lf.positions[lf.reference_index]
         confidence = self.kernels.numpy(self._plan.confidence).astype(np.float32, copy=False)
         return DepthResult(
@@ -412,7 +413,7 @@ class DepthPipeline:
                 work()
             do_waiting()
             if maps:
-                take_host_memory(4 * math.prod(self._lf.size), maps)
+                take_host_memory(4 * math.prod(self._layout.size), maps)
             self.kernels.number(self._waited_for)
 
     def _widen(self, stage: str, on_progress: Progress | None) -> None:
