@@ -4,6 +4,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from lfgpu.cameras import points
 from lfgpu.contract import Device, memory, take_host_memory
 from lfgpu.data import DepthResult, LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.methods import method_of
+from lfgpu.methods import disparity_range, method_of
 from lfgpu.methods.matching import frame, noise
 from lfgpu.methods.matching.disparities import padded_disparities
 from lfgpu.pipelines import pipeline as pipeline_module
@@ -177,16 +178,21 @@ def test_what_is_measured_again_needs_no_memory(config: Any, monkeypatch: pytest
     want = [method_of(config).measure(lf, open_device(device="cpu")) for lf in fields]
     monkeypatch.setattr(Device, "is_gpu", property(lambda device: True))
     monkeypatch.setitem(frame._ROOM, "gpu", 64)
-    sweeps: list[str] = []
-    first_sweep = noise._FirstSweep
-    monkeypatch.setattr(noise, "_FirstSweep", lambda *given: (sweeps.append("planned"), first_sweep(*given))[1])
+    planned: list[str] = []
+
+    def told(make: Any, *given: Any, **options: Any) -> Any:
+        planned.append(make.__name__)
+        return make(*given, **options)
+
+    for home, name in ((noise, "_FirstSweep"), (disparity_range, "_Comparison")):
+        monkeypatch.setattr(home, name, partial(told, getattr(home, name)))
     pipeline = DepthPipeline(fields[0], config=config, device="cpu")
-    sweeps.clear()
+    planned.clear()
     for lf, measured in zip(fields, want, strict=True):
         pipeline.take(lf)
         assert pipeline.measured == measured
     assert len({measured.disparity_range for measured in want}) == 3
-    assert not sweeps  # all of them fit into what was planned for the first
+    assert not planned  # all of them fit into what was planned for the first
     for name in ("zeros", "zeros_image", "field", "image", "scalar"):
         monkeypatch.setattr(load(), name, None)
     pipeline.take(replace(fields[3]))
