@@ -51,11 +51,8 @@ void find_sector_costs(
         shift.inside = x + shift.right >= 0 && x + shift.right + (shift.ax > 0.f) < width;
         return shift;
     };
-    auto line_of = [&](const Packed* view, const Shift& shift, int row) {
-        const Packed* const in_row = view + min(max(row, 0), height - 1) * width;
-        const int column = min(max(x + shift.right, 0), width - 1);
-        const Packed one = {__ldg((const WORDS*)(in_row + column))};
-        const Packed other = {__ldg((const WORDS*)(in_row + min(column + 1, width - 1)))};
+    auto line_at = [&](const Packed* here, int next, const Shift& shift) {
+        const Packed one = {__ldg((const WORDS*)here)}, other = {__ldg((const WORDS*)(here + next))};
         Line line;
         for (int c = 0; c < CHANNELS; ++c) {
             const float value = value_of(one, c);
@@ -63,6 +60,11 @@ void find_sector_costs(
         }
         line.counts = !MASKED || value_of(shift.ax >= 0.5f ? other : one, PAD - 1) != ZERO;
         return line;
+    };
+    auto line_of = [&](const Packed* view, const Shift& shift, int row) {
+        const int column = min(max(x + shift.right, 0), width - 1);
+        const Packed* const here = view + min(max(row, 0), height - 1) * width + column;
+        return line_at(here, column + 1 < width, shift);
     };
 
     float reference[ROWS][CHANNELS], disparity[ROWS];
@@ -83,8 +85,7 @@ void find_sector_costs(
     #pragma unroll 1
     for (int s = 0; s < SECTORS; ++s) {
         float single[ROWS] = {}, common[ROWS][CHANNELS] = {}, seen[ROWS] = {};
-        auto add = [&](int r, const Shift& shift, int row, const Line& upper, const Line& lower) {
-            const bool is_there = shift.inside && row >= 0 && row + (shift.ay > 0.f) < height;
+        auto add = [&](int r, const Shift& shift, bool is_there, const Line& upper, const Line& lower) {
             const bool counts = is_there && (!MASKED || (shift.ay >= 0.5f ? lower : upper).counts);
             seen[r] += counts ? 1.f : 0.f;
             #pragma unroll
@@ -98,20 +99,33 @@ void find_sector_costs(
         for (int k = begins.data[s]; k < begins.data[s + 1]; ++k) {
             const float u = offsets.data[k].c[0], v = offsets.data[k].c[1];
             const Packed* const view = (const Packed*)views.data + (size_t)order.data[k] * height * width;
-            if (is_level) {
-                const Shift shift = shift_of(disparity[0], u, v);
-                Line lines[ROWS + 1];
+            auto is_there = [&](const Shift& shift, int row) {
+                return shift.inside && row >= 0 && row + (shift.ay > 0.f) < height;
+            };
+            if (!is_level) {
                 #pragma unroll
-                for (int r = 0; r <= ROWS; ++r) lines[r] = line_of(view, shift, y + r + shift.down);
-                #pragma unroll
-                for (int r = 0; r < ROWS; ++r) add(r, shift, y + r + shift.down, lines[r], lines[r + 1]);
+                for (int r = 0; r < ROWS; ++r) {
+                    const Shift shift = shift_of(disparity[r], u, v);
+                    const int row = min(y + r, height - 1) + shift.down;
+                    const Line upper = line_of(view, shift, row), lower = line_of(view, shift, row + 1);
+                    add(r, shift, is_there(shift, row), upper, lower);
+                }
                 continue;
             }
-            #pragma unroll
-            for (int r = 0; r < ROWS; ++r) {
-                const Shift shift = shift_of(disparity[r], u, v);
-                const int row = min(y + r, height - 1) + shift.down;
-                add(r, shift, row, line_of(view, shift, row), line_of(view, shift, row + 1));
+            const Shift shift = shift_of(disparity[0], u, v);
+            const int row = y + shift.down;
+            Line lines[ROWS + 1];
+            if (shift.inside && x + shift.right + 1 < width && row >= 0 && row + ROWS < height) {
+                const Packed* const here = view + row * width + x + shift.right;
+                #pragma unroll
+                for (int r = 0; r <= ROWS; ++r) lines[r] = line_at(here + r * width, 1, shift);
+                #pragma unroll
+                for (int r = 0; r < ROWS; ++r) add(r, shift, true, lines[r], lines[r + 1]);
+            } else {
+                #pragma unroll
+                for (int r = 0; r <= ROWS; ++r) lines[r] = line_of(view, shift, row + r);
+                #pragma unroll
+                for (int r = 0; r < ROWS; ++r) add(r, shift, is_there(shift, row + r), lines[r], lines[r + 1]);
             }
         }
         #pragma unroll
