@@ -14,7 +14,7 @@ from .threads import check_size, launch, launch_slices
 _LANES = 16  # channels of the output that a CPU computes side by side
 _WARPS = 4  # of a block of a GPU
 _COLUMNS = 16  # of the output of a block
-_SHARED = 46 * 2**10  # bytes of a volume that a block keeps
+_SHARED = 46 * 2**10  # bytes of a volume that a block keeps at most
 _SUMS = 96  # that a thread of a GPU keeps in registers
 _GROUP = 4  # channels that a thread computes where there are no tensor cores
 _AMPERE = 80  # compute capability from which on tensor cores multiply as they are asked to
@@ -30,7 +30,8 @@ def _kernel(
     on_cpu = function == "convolve_rows"
     names = "KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"
     numbers: dict[str, Any] = dict(zip(names, (*shape, *strides), strict=True))
-    numbers |= {"PADDED": _padded(outputs), "TILES": tiles, "APART": _apart(inputs), "RECTIFIED": int(rectified)}
+    numbers |= {"PADDED": _padded(outputs), "RECTIFIED": int(rectified)}
+    numbers |= {"TILES": tiles, "APART": _apart(inputs), "SHARED": _SHARED}
     numbers |= {"STORED": c_type(stored, for_vectors=on_cpu), "RESULT": c_type(result, for_vectors=on_cpu)}
     types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
     if on_cpu:
@@ -69,11 +70,15 @@ def _apart(channels: int) -> int:
 
 
 def _tiles(shape: tuple[int, ...], strides: _Strides) -> int:
-    """Return the rows of each warp, as many as memory and registers have room for; 0 if there is none for any."""
-    _, high, wide, inputs, outputs = shape
-    for tiles in (4, 2, 1):
+    """Return the rows of each warp, as many as memory and registers have room for; 0 if there is none for any.
+
+    Memory has room for the next slice, too, unless that leaves each warp one row.
+    """
+    slices, high, wide, inputs, outputs = shape
+    for buffers, tiles in (2, 4), (2, 3), (2, 2), (1, 2), (1, 1):
         rows, columns = (_WARPS * tiles - 1) * strides[1] + high, (_COLUMNS - 1) * strides[2] + wide
-        if 2 * _apart(inputs) * rows * columns <= _SHARED and 4 * tiles * -(-outputs // 8) <= _SUMS:
+        kept = min(buffers, slices) * rows * columns * 2 * _apart(inputs)
+        if kept <= _SHARED and 4 * tiles * -(-outputs // 8) <= _SUMS:
             return tiles
     return 0
 

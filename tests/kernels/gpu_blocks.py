@@ -115,6 +115,23 @@ _PRELUDE = """
         return votes;
     };
     static const auto __any_sync = [](unsigned mask, bool yes) { return __ballot_sync(mask, yes) != 0u; };
+    // Copies that a thread has begun are made as late as may be: when it waits for them.
+    struct gpu_copy { unsigned long to; const void* from; int bytes; };
+    static gpu_copy gpu_copies[1024][64];
+    static int gpu_begun[1024];
+    static const auto __cvta_generic_to_shared = [](const void* place) { return (unsigned long)place; };
+    static const auto gpu_begin_copy = [](unsigned long to, const void* from, int bytes) {
+        const int thread = wp_cpu_get_thread_idx();
+        gpu_copies[thread][gpu_begun[thread]++] = {to, from, bytes};
+    };
+    static const auto gpu_end_copies = []() {
+        int& begun = gpu_begun[wp_cpu_get_thread_idx()];
+        while (begun) {
+            const gpu_copy& copy = gpu_copies[wp_cpu_get_thread_idx()][--begun];
+            __builtin_memset((void*)copy.to, 0, 16);
+            __builtin_memcpy((void*)copy.to, copy.from, copy.bytes);
+        }
+    };
     // Adds to this lane's four of 16 x 8 sums the products of matrices of half precision that all lanes have parts of:
     // numbers (i, k) of a are in lane i % 8 * 4 + k % 8 / 2, its word i / 8 + k / 8 * 2; (k, j) of b in lane
     // j * 4 + k % 8 / 2, word k / 8; of two in a word the even one is lower. Sums (i, j) are in lane i % 8 * 4 + j / 2.
@@ -146,6 +163,11 @@ _ROOT = re.compile(r'asm\("sqrt\.approx\.ftz\.f32 %0, %1;" : "=f"\((.*?)\) : "f"
 _MULTIPLY = re.compile(
     r'asm volatile\("mma\.sync\.aligned\.m16n8k(8|16)\.row\.col\.f32\.f16\.f16\.f32 [^;]*;"([^;]*)\);'
 )
+_BEGIN_COPY = re.compile(
+    r'asm volatile\("cp\.async\.cg\.shared\.global \[%0\], \[%1\], 16, %2;"\s*'
+    r':: "l"\((.*?)\), "l"\((.*?)\), "r"\((.*?)\) : "memory"\);'
+)
+_END_COPIES = 'asm volatile("cp.async.wait_all;" ::: "memory");'
 
 
 def _multiply(asm: re.Match[str]) -> str:
@@ -159,6 +181,7 @@ def _multiply(asm: re.Match[str]) -> str:
 
 def _native(code: str) -> Callable[[Callable[..., Any]], Any]:
     code = _MULTIPLY.sub(_multiply, _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", code))
+    code = _BEGIN_COPY.sub(r"gpu_begin_copy(\1, \2, \3);", code).replace(_END_COPIES, "gpu_end_copies();")
     return cast("Callable[[Callable[..., Any]], Any]", wp.func_native(_PRELUDE + code + _POSTLUDE))
 
 

@@ -28,23 +28,37 @@ inline void add_half_products(float* sums, const unsigned* a, unsigned b0) {
         : "r"(a[0]), "r"(a[1]), "r"(b0));
 }
 
+// Begin to copy 16 bytes to shared memory, or zeros if these bytes are not `there`; nothing is read then.
+inline void begin_copy(unsigned* to, const uint4* from, bool there) {
+    asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;"
+        :: "l"(__cvta_generic_to_shared(to)), "l"(from), "r"(there ? 16 : 0) : "memory");
+}
+
+// Wait for the copies that this thread has begun.
+inline void end_copies() {
+    asm volatile("cp.async.wait_all;" ::: "memory");
+}
+
 // Compute 16 columns and 4 TILES of `some` rows from `first` on with each block of four warps; each warp has TILES of
 // the rows. The volume has so much `height`; a row of `added` is for `high` rows.
 //
 // What they need of a slice of the volume lies in shared memory, APART numbers from pixel to pixel: eight pixels are in
-// different banks then. Weights are in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane].
+// different banks then. The next slice is copied while one is multiplied if both have room in SHARED bytes. Weights are
+// in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane].
 void convolve_tiles(
     int tid, Array3<In> volume, Array1<uint32> weights, Array1<float> bias, Array3<Added> added, int first, int some,
     int height, int high, Array3<Out> volume_out) {
     constexpr int ROWS = 4 * TILES, HIGH = (ROWS - 1) * SY + KY, WIDE = 15 * SX + KX;
     constexpr int BLOCKS = CI / 8, PARTS = (CO + 7) / 8, WORDS = APART / 2;
-    alignas(16) __shared__ unsigned tile[HIGH * WIDE * WORDS];
+    constexpr int BUFFERS = KL > 1 && 2 * HIGH * WIDE * WORDS * 4 <= SHARED ? 2 : 1;
+    alignas(16) __shared__ unsigned tile[BUFFERS * HIGH * WIDE * WORDS];
     const int labels = volume.shape[0], held = volume.shape[1], width = volume.shape[2];
     const int rows = volume_out.shape[1], columns = volume_out.shape[2];
-    const int thread = tid % 128, lane = thread % 32, warp = thread / 32, row = lane / 4, pair = lane % 4;
+    const int lane = tid % 32, warp = tid % 128 / 32, row = lane / 4, pair = lane % 4;
     const int across = (columns + 15) / 16, down = (some + ROWS - 1) / ROWS, block = tid / 128;
     const int l = block / (across * down), place = block - l * across * down;
     const int top = first + place / across * ROWS, left = place % across * 16;
+    const int lowest = l * SL - KL / 2, begin = max(0, -lowest), end = min(KL, labels - lowest);
 
     float sums[TILES][PARTS][4];
     #pragma unroll
@@ -53,24 +67,34 @@ void convolve_tiles(
         for (int n = 0; n < PARTS; ++n)
             #pragma unroll
             for (int i = 0; i < 4; ++i) sums[j][n][i] = 0.f;
-    for (int kl = 0; kl < KL; ++kl) {
-        const int slice = l * SL + kl - KL / 2;
-        if (slice < 0 || slice >= labels) continue;
-        __syncthreads();
-        for (int i = thread; i < HIGH * WIDE * BLOCKS; i += 128) {
-            const int pixel = i / BLOCKS, part = i % BLOCKS;
-            const int y = top * SY - KY / 2 + pixel / WIDE, x = left * SX - KX / 2 + pixel % WIDE;
-            uint4 values = {0u, 0u, 0u, 0u};
-            if (y >= 0 && y < height && x >= 0 && x < width)
-                values = ((const uint4*)
-                    volume.data)[(((size_t)slice * held + place_of(y, held)) * width + x) * BLOCKS + part];
-            *(uint4*)(tile + pixel * WORDS + part * 4) = values;
+    auto begin_slice = [&](int kl) {
+        for (int line = warp; line < HIGH; line += 4) {
+            const int y = top * SY - KY / 2 + line, before = (left * SX - KX / 2) * BLOCKS;
+            const bool inside = y >= 0 && y < height;
+            const size_t along = ((size_t)(lowest + kl) * held + (inside ? place_of(y, held) : 0)) * width * BLOCKS;
+            const uint4* const from = (const uint4*)volume.data + along;
+            unsigned* const to = tile + (kl % BUFFERS * HIGH + line) * WIDE * WORDS;
+            #pragma unroll
+            for (int part = 0; part < WIDE * BLOCKS; part += 32) {
+                const int i = part + lane, x = before + i;
+                if (i >= WIDE * BLOCKS) break;
+                begin_copy(to + i / BLOCKS * WORDS + i % BLOCKS * 4, from + x, inside && x >= 0 && x < width * BLOCKS);
+            }
         }
+    };
+    for (int kl = begin; kl < end; ++kl) {
+        if (BUFFERS == 1 || kl == begin) {
+            __syncthreads();
+            begin_slice(kl);
+        }
+        end_copies();
         __syncthreads();
+        if (BUFFERS > 1 && kl + 1 < end) begin_slice(kl + 1);
+        const unsigned* const slice = tile + kl % BUFFERS * HIGH * WIDE * WORDS;
         for (int ky = 0; ky < KY; ++ky) {
             #pragma unroll
             for (int kx = 0; kx < KX; ++kx) {
-                const unsigned* const here = tile + ((warp * TILES * SY + ky) * WIDE + row * SX + kx) * WORDS + pair;
+                const unsigned* const here = slice + ((warp * TILES * SY + ky) * WIDE + row * SX + kx) * WORDS + pair;
                 const unsigned* const there = weights.data + ((kl * KY + ky) * KX + kx) * BLOCKS * PARTS * 32 + lane;
                 #pragma unroll
                 for (int b = 0; b < BLOCKS; b += 2) {
