@@ -76,7 +76,8 @@ def _tiles(shape: tuple[int, ...], strides: _Strides) -> int:
     """
     slices, high, wide, inputs, outputs = shape
     for buffers, tiles in (2, 4), (2, 3), (2, 2), (1, 2), (1, 1):
-        rows, columns = (_WARPS * tiles - 1) * strides[1] + high, (_COLUMNS - 1) * strides[2] + wide
+        rows = (_WARPS * tiles - 1) * strides[1] + high
+        columns = strides[2] * (_COLUMNS - 1 + -(-wide // strides[2]))
         kept = min(buffers, slices) * rows * columns * 2 * _apart(inputs)
         if kept <= _SHARED and 4 * tiles * -(-outputs // 8) <= _SUMS:
             return tiles

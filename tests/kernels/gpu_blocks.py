@@ -132,6 +132,11 @@ _PRELUDE = """
             __builtin_memcpy((void*)copy.to, copy.from, copy.bytes);
         }
     };
+    // Loads so many matrices of 8 rows of 16 bytes, whose places eight lanes each have: row lane / 4, word lane % 4.
+    static const auto gpu_load_matrices = [](int count, unsigned* words, unsigned long place) {
+        const int lane = wp_cpu_get_thread_idx() % 32;
+        for (int i = 0; i < count; ++i) words[i] = ((const unsigned*)gpu_ask(place, i * 8 + lane / 4))[lane % 4];
+    };
     // Adds to this lane's four of 16 x 8 sums the products of matrices of half precision that all lanes have parts of:
     // numbers (i, k) of a are in lane i % 8 * 4 + k % 8 / 2, its word i / 8 + k / 8 * 2; (k, j) of b in lane
     // j * 4 + k % 8 / 2, word k / 8; of two in a word the even one is lower. Sums (i, j) are in lane i % 8 * 4 + j / 2.
@@ -167,6 +172,9 @@ _BEGIN_COPY = re.compile(
     r'asm volatile\("cp\.async\.cg\.shared\.global \[%0\], \[%1\], 16, %2;"\s*'
     r':: "l"\((.*?)\), "l"\((.*?)\), "r"\((.*?)\) : "memory"\);'
 )
+_LOAD_MATRICES = re.compile(
+    r'asm volatile\("ldmatrix\.sync\.aligned\.m8n8\.x([24])\.shared\.b16 [^"]*"([^;]*) : "l"\((.*?)\)\);'
+)
 _END_COPIES = 'asm volatile("cp.async.wait_all;" ::: "memory");'
 
 
@@ -179,8 +187,15 @@ def _multiply(asm: re.Match[str]) -> str:
     return f"{{ {values} gpu_multiply({asm[1]}, s, a_, b_); {back} }}"
 
 
+def _load_matrices(asm: re.Match[str]) -> str:
+    """Load the parts that a lane has of matrices."""
+    back = "".join(f"{place} = w[{k}];" for k, place in enumerate(re.findall(r'"=r"\((.*?)\)', asm[2])))
+    return f"{{ unsigned w[{asm[1]}]; gpu_load_matrices({asm[1]}, w, {asm[3]}); {back} }}"
+
+
 def _native(code: str) -> Callable[[Callable[..., Any]], Any]:
     code = _MULTIPLY.sub(_multiply, _ROOT.sub(r"\1 = __builtin_sqrtf(\2);", code))
+    code = _LOAD_MATRICES.sub(_load_matrices, code)
     code = _BEGIN_COPY.sub(r"gpu_begin_copy(\1, \2, \3);", code).replace(_END_COPIES, "gpu_end_copies();")
     return cast("Callable[[Callable[..., Any]], Any]", wp.func_native(_PRELUDE + code + _POSTLUDE))
 

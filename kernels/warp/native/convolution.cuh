@@ -28,6 +28,18 @@ inline void add_half_products(float* sums, const unsigned* a, unsigned b0) {
         : "r"(a[0]), "r"(a[1]), "r"(b0));
 }
 
+// Load factors a of 16 channels; lane % 16 has the place of a pixel, half of the lanes that of its last 8 channels.
+inline void load_factors(unsigned* a, const unsigned* from) {
+    asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3}, [%4];"
+        : "=r"(a[0]), "=r"(a[1]), "=r"(a[2]), "=r"(a[3]) : "l"(__cvta_generic_to_shared(from)));
+}
+
+// The same for 8 channels; the places of 16 lanes count.
+inline void load_half_factors(unsigned* a, const unsigned* from) {
+    asm volatile("ldmatrix.sync.aligned.m8n8.x2.shared.b16 {%0,%1}, [%2];"
+        : "=r"(a[0]), "=r"(a[1]) : "l"(__cvta_generic_to_shared(from)));
+}
+
 // Begin to copy 16 bytes to shared memory, or zeros if these bytes are not `there`; nothing is read then.
 inline void begin_copy(unsigned* to, const uint4* from, bool there) {
     asm volatile("cp.async.cg.shared.global [%0], [%1], 16, %2;"
@@ -43,15 +55,17 @@ inline void end_copies() {
 // the rows. The volume has so much `height`; a row of `added` is for `high` rows.
 //
 // What they need of a slice of the volume lies in shared memory, APART numbers from pixel to pixel: eight pixels are in
-// different banks then. The next slice is copied while one is multiplied if both have room in SHARED bytes. Weights are
-// in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane].
+// different banks then. A tap reads each SXth column, so columns x with the same x % SX lie together. A line is read
+// once for all taps that it has a part in. The next slice is copied while one is multiplied if both have room in SHARED
+// bytes. Weights are in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane].
 void convolve_tiles(
     int tid, Array3<In> volume, Array1<uint32> weights, Array1<float> bias, Array3<Added> added, int first, int some,
     int height, int high, Array3<Out> volume_out) {
     constexpr int ROWS = 4 * TILES, HIGH = (ROWS - 1) * SY + KY, WIDE = 15 * SX + KX;
+    constexpr int EACH = 15 + (KX + SX - 1) / SX, LINE = SX * EACH;
     constexpr int BLOCKS = CI / 8, PARTS = (CO + 7) / 8, WORDS = APART / 2;
-    constexpr int BUFFERS = KL > 1 && 2 * HIGH * WIDE * WORDS * 4 <= SHARED ? 2 : 1;
-    alignas(16) __shared__ unsigned tile[BUFFERS * HIGH * WIDE * WORDS];
+    constexpr int BUFFERS = KL > 1 && 2 * HIGH * LINE * WORDS * 4 <= SHARED ? 2 : 1;
+    alignas(16) __shared__ unsigned tile[BUFFERS * HIGH * LINE * WORDS];
     const int labels = volume.shape[0], held = volume.shape[1], width = volume.shape[2];
     const int rows = volume_out.shape[1], columns = volume_out.shape[2];
     const int lane = tid % 32, warp = tid % 128 / 32, row = lane / 4, pair = lane % 4;
@@ -73,12 +87,13 @@ void convolve_tiles(
             const bool inside = y >= 0 && y < height;
             const size_t along = ((size_t)(lowest + kl) * held + (inside ? place_of(y, held) : 0)) * width * BLOCKS;
             const uint4* const from = (const uint4*)volume.data + along;
-            unsigned* const to = tile + (kl % BUFFERS * HIGH + line) * WIDE * WORDS;
+            unsigned* const to = tile + (kl % BUFFERS * HIGH + line) * LINE * WORDS;
             #pragma unroll
             for (int part = 0; part < WIDE * BLOCKS; part += 32) {
                 const int i = part + lane, x = before + i;
                 if (i >= WIDE * BLOCKS) break;
-                begin_copy(to + i / BLOCKS * WORDS + i % BLOCKS * 4, from + x, inside && x >= 0 && x < width * BLOCKS);
+                const int place = i / BLOCKS % SX * EACH + i / BLOCKS / SX;
+                begin_copy(to + place * WORDS + i % BLOCKS * 4, from + x, inside && x >= 0 && x < width * BLOCKS);
             }
         }
     };
@@ -90,35 +105,38 @@ void convolve_tiles(
         end_copies();
         __syncthreads();
         if (BUFFERS > 1 && kl + 1 < end) begin_slice(kl + 1);
-        const unsigned* const slice = tile + kl % BUFFERS * HIGH * WIDE * WORDS;
-        for (int ky = 0; ky < KY; ++ky) {
+        const unsigned* const slice = tile + kl % BUFFERS * HIGH * LINE * WORDS;
+        for (int kx = 0; kx < KX; ++kx) {
+            const unsigned* const here =
+                slice + (warp * TILES * SY * LINE + kx % SX * EACH + kx / SX + lane % 16) * WORDS + lane / 16 * 4;
             #pragma unroll
-            for (int kx = 0; kx < KX; ++kx) {
-                const unsigned* const here = slice + ((warp * TILES * SY + ky) * WIDE + row * SX + kx) * WORDS + pair;
-                const unsigned* const there = weights.data + ((kl * KY + ky) * KX + kx) * BLOCKS * PARTS * 32 + lane;
+            for (int b = 0; b < BLOCKS; b += 2) {
+                unsigned first[KY][PARTS], second[KY][PARTS];
                 #pragma unroll
-                for (int b = 0; b < BLOCKS; b += 2) {
-                    unsigned first[PARTS], second[PARTS];
+                for (int ky = 0; ky < KY; ++ky)
                     #pragma unroll
                     for (int n = 0; n < PARTS; ++n) {
-                        first[n] = __ldg(there + (b * PARTS + n) * 32);
-                        if (b + 1 < BLOCKS) second[n] = __ldg(there + ((b + 1) * PARTS + n) * 32);
+                        const int block = ((kl * KY + ky) * KX + kx) * BLOCKS + b;
+                        first[ky][n] = __ldg(weights.data + (block * PARTS + n) * 32 + lane);
+                        if (b + 1 < BLOCKS) second[ky][n] = __ldg(weights.data + ((block + 1) * PARTS + n) * 32 + lane);
                     }
+                #pragma unroll
+                for (int line = 0; line < (TILES - 1) * SY + KY; ++line) {
+                    unsigned a[4];
+                    if (b + 1 < BLOCKS)
+                        load_factors(a, here + line * LINE * WORDS + b * 4);
+                    else
+                        load_half_factors(a, here + line * LINE * WORDS + b * 4);
                     #pragma unroll
-                    for (int j = 0; j < TILES; ++j) {
-                        const unsigned* const upper = here + j * SY * WIDE * WORDS + b * 4;
-                        const unsigned* const lower = upper + 8 * SX * WORDS;
-                        unsigned a[4] = {upper[0], lower[0], 0u, 0u};
-                        if (b + 1 < BLOCKS) {
-                            a[2] = upper[4];
-                            a[3] = lower[4];
-                        }
+                    for (int ky = line % SY; ky < KY; ky += SY) {
+                        const int j = (line - ky) / SY;
+                        if (line < ky || j >= TILES) continue;
                         #pragma unroll
                         for (int n = 0; n < PARTS; ++n)
                             if (b + 1 < BLOCKS)
-                                add_products(sums[j][n], a, first[n], second[n]);
+                                add_products(sums[j][n], a, first[ky][n], second[ky][n]);
                             else
-                                add_half_products(sums[j][n], a, first[n]);
+                                add_half_products(sums[j][n], a, first[ky][n]);
                     }
                 }
             }
