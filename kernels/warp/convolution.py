@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import warp as wp
+from numpy.typing import NDArray
 
 from lfgpu.contract import Float32Array, Float64Array, Rows
 
@@ -72,10 +73,12 @@ def _apart(channels: int) -> int:
 def _tiles(shape: tuple[int, ...], strides: _Strides) -> int:
     """Return the rows of each warp, as many as memory and registers have room for; 0 if there is none for any.
 
-    Memory has room for the next slice, too, unless that leaves each warp one row.
+    Memory has room for the next slice, too, unless that leaves each warp one row. Where windows are pixels, none of it
+    is shared, and registers are left to more warps, which wait for the volume at the same time.
     """
     slices, high, wide, inputs, outputs = shape
-    for buffers, tiles in (2, 4), (2, 3), (2, 2), (1, 2), (1, 1):
+    choices = ((0, 2), (0, 1)) if slices * high * wide == 1 else ((2, 4), (2, 3), (2, 2), (1, 2), (1, 1))
+    for buffers, tiles in choices:
         rows = (_WARPS * tiles - 1) * strides[1] + high
         columns = strides[2] * (_COLUMNS - 1 + -(-wide // strides[2]))
         kept = min(buffers, slices) * rows * columns * 2 * _apart(inputs)
@@ -84,13 +87,22 @@ def _tiles(shape: tuple[int, ...], strides: _Strides) -> int:
     return 0
 
 
+def _dealt(channels: int) -> NDArray[np.intp]:
+    """Return the order of channels in which each two blocks of 8 give a lane four channels next to each other."""
+    pairs = np.arange(channels // 16 * 16).reshape(-1, 4, 2, 2).swapaxes(1, 2).ravel()
+    return np.append(pairs, np.arange(len(pairs), channels))
+
+
 def _fragments(weights: Float32Array) -> Any:
     """Return the weights as lanes of a GPU read them: [tap, block of inputs, block of outputs, lane], pairs in a word.
 
-    Lane 4 i + j of a block has output i and the inputs 2 j and 2 j + 1.
+    Lane 4 i + j of a block has output i and the inputs 2 j and 2 j + 1, in the order in which channels are `_dealt`;
+    inputs are in that order where windows are pixels.
     """
-    *_, inputs, outputs = weights.shape
-    halves = np.pad(weights, [(0, 0)] * 4 + [(0, -outputs % 8)]).astype(np.float16)
+    *window, inputs, outputs = weights.shape
+    halves = np.pad(weights, [(0, 0)] * 4 + [(0, -outputs % 8)]).astype(np.float16)[..., _dealt(outputs + -outputs % 8)]
+    if np.prod(window) == 1:
+        halves = halves[..., _dealt(inputs), :]
     blocks = halves.reshape(-1, inputs // 8, 4, 2, -(-outputs // 8), 8)
     return np.ascontiguousarray(blocks.transpose(0, 1, 4, 5, 2, 3)).reshape(-1).view(np.uint32)
 

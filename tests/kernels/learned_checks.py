@@ -124,7 +124,7 @@ _LAYERS = (
     ConvolutionCase("strides in the image", strides=(1, 2, 2), window=(1, 3, 3), channels=(72, 72)),
     ConvolutionCase("stride of slices alone", strides=(2, 1, 1), window=(3, 1, 1), rectified=False),
     ConvolutionCase("wide", size=(2, 3, 70), channels=(56, 56)),
-    ConvolutionCase("high", size=(2, 70, 3), channels=(24, 24)),
+    ConvolutionCase("high", size=(2, 70, 3), channels=(40, 40)),
     ConvolutionCase("many channels", size=(3, 4, 5), channels=(72, 72)),
     ConvolutionCase("one voxel", size=(1, 1, 1)),
     ConvolutionCase("large window", size=(3, 6, 7), window=(1, 5, 7)),

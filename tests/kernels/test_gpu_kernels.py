@@ -46,7 +46,7 @@ CHOSEN = (
     r"(dot|conjugate_step)-",
     r"sector_costs-(colour|grey-uint8|grey-uint16|grey-float|half|one-pixel|room|rows|work-for)",
     r"(brightness|fold)-(colour-uint8|grey-uint16|half-precision|room)",
-    r"convolution-(half-)?(all-around|as-it-is|pixel|an-image|a-coarse|strides|many|one-voxel|large|rows|work-for)",
+    r"convolution-(half-)?(all-around|as-it-is|pixel|an-image|a-coarse|strides|many|one-voxel|high|large|rows|work-for)",
     r"peak-",
     r"(quantile|window_grain)-(colour|grey|few|the-|nothing|least|work-for)",
     r"(distinct_minimum|agreeing_disparity)-(colour|one-line|work-for)",
