@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,6 +31,11 @@ class Case:
     def name(self) -> str:
         """Rows x columns x height x width, and @span if that is not the usual one."""
         return "x".join(map(str, (*self.grid, *self.size))) + ("" if self.span == Case.span else f"@{self.span:g}")
+
+    def make(self, scene: str, **options: Any) -> LightField:
+        """Make a scene of the package in this size; `options` are further ones of `scenes.make`."""
+        ends = -self.span / 2, self.span / 2
+        return scenes.make(scene, grid=self.grid, size=self.size, disparity_range=ends, **options)
 
 
 CASES = (
@@ -58,7 +64,7 @@ def parse(name: str) -> Case:
 
 def cast(case: Case, path: Path) -> None:
     """Cast the light field of a case and write it to `path` (.npz)."""
-    lf = scenes.make(_SCENE, grid=case.grid, size=case.size, disparity_range=(-case.span / 2, case.span / 2))
+    lf = case.make(_SCENE)
     assert lf.truth is not None
     np.savez(path, views=lf.views.reshape(*case.grid, *lf.views.shape[1:]), truth=lf.truth.disparity)
 

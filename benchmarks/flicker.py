@@ -11,7 +11,6 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from benchmarks import cases
 from benchmarks.moving import RANGE, Film
 from benchmarks.options import CaseName, DeviceName, Out, Presets, Row, check_known, collected, listed, say
 from benchmarks.tables import Table
@@ -56,8 +55,7 @@ def command(
 ) -> None:
     """Measure the flicker of maps of moving scenes, with and without the last map, and their errors."""
     check_known(listed(pasts), "past", PASTS)
-    case = cases.parse(case_name)
-    film = Film(case.grid, case.size, frames, period, noise)
+    film = Film.of(case_name, frames, period=period, noise=noise)
     films = (replace(film, seed=int(seed)) for seed in listed(seeds))
     rows = (row for film in films for row in run(film, listed(presets), listed(pasts), device))
     show(collected(rows, out, benchmark="flicker", about={"film": asdict(film)}))

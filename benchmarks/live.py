@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 
-from benchmarks import cases, stages
+from benchmarks import stages
 from benchmarks.moving import RANGE, Film, to_and_fro
 from benchmarks.options import Cases, DeviceName, Out, Presets, Row, collected, listed, say
 from benchmarks.tables import Columns, Table
@@ -79,8 +79,7 @@ def run(
     """
     for case in case_names:
         say(f"{case}: casting {count} frames")
-        size = cases.parse(case)
-        frames = Film(size.grid, size.size, count).frames()
+        frames = Film.of(case, count).frames()
         cold = _errors(frames, _solved_cold(frames, options["device"]))
         for preset in presets:
             for warm in (True, False):

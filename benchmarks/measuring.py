@@ -13,7 +13,7 @@ from benchmarks import cases, clock
 from benchmarks.cases import Case
 from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Row, Seconds, collected, listed, places, say
 from benchmarks.tables import Columns, Table
-from lfgpu import LightField, scenes
+from lfgpu import LightField
 from lfgpu.contract import Device, KernelSet
 from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
@@ -70,7 +70,7 @@ def run(
     """
     for case in chosen:
         say(f"{case.name}: casting a scene")
-        lf = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
+        lf = case.make("boxes", seed=0, noise=0.005)
         for place in places(backends, device):
             say(f"{case.name} {place.kernels.name} {place.name}")
             yield _measured(case, lf, preset, place, seconds)

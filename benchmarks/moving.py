@@ -11,6 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks import cases
+from benchmarks.cases import Case
+from benchmarks.errors import BenchmarkError
 from lfgpu import scenes
 from lfgpu.contract import Float32Array
 from lfgpu.data import LightField
@@ -32,6 +35,14 @@ class Film:
     period: int = 240
     noise: float = 0.005
     seed: int = 0
+
+    @classmethod
+    def of(cls, name: str, count: int, **options: Any) -> Film:
+        """Return a film of views of a case; BenchmarkError if that has a span, as things move within `RANGE`."""
+        case = cases.parse(name)
+        if case.span != Case.span:
+            raise BenchmarkError(f"{name!r} has @SPAN, but films always span {Case.span:g} px; leave it out.")
+        return cls(case.grid, case.size, count, **options)
 
     @property
     def options(self) -> dict[str, Any]:

@@ -82,8 +82,7 @@ def made(name: str) -> Source:
     scene, _, case = name.partition("-")
     if scene not in scenes.NAMES:
         raise BenchmarkError(f"unknown scene {name!r}; write NAME-CASE with one of {', '.join(scenes.NAMES)}.")
-    size = cases.parse(case)
-    return lambda: scenes.make(scene, grid=size.grid, size=size.size)
+    return partial(cases.parse(case).make, scene)
 
 
 def run(

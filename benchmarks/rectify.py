@@ -13,7 +13,7 @@ from benchmarks import cases, clock
 from benchmarks.cases import Case
 from benchmarks.options import Backends, Cases, DeviceName, Out, Preset, Row, Seconds, collected, listed, places, say
 from benchmarks.tables import Table
-from lfgpu import DepthPipeline, LightField, Rectifier, scenes
+from lfgpu import DepthPipeline, LightField, Rectifier
 from lfgpu._backends import backend_named, open_device
 from lfgpu.calibration import Calibration, Misalignment, disturb, rectify
 from lfgpu.contract import Device
@@ -65,7 +65,7 @@ def run(
     """
     for case in chosen:
         say(f"{case.name}: casting a scene and disturbing its cameras")
-        scene = scenes.make("boxes", grid=case.grid, size=case.size, seed=0, noise=0.005)
+        scene = case.make("boxes", seed=0, noise=0.005)
         pictures, rectifier, host_ms = raw(scene)
         for place in places(backends, device):
             say(f"{case.name} {place.kernels.name} {place.name}")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from benchmarks import flicker, gpu_parity, like, misalignment, moving, rendering, scaling, soak, tiles
+from benchmarks import flicker, gpu_parity, like, misalignment, moving, population, rendering, scaling, soak, tiles
 from benchmarks.cases import CASES, Case
 from benchmarks.cli import app
 from benchmarks.clock import spread
@@ -92,6 +92,17 @@ def test_live_command(tmp_path: Path) -> None:
         assert 0 < row["latency_p50"] <= row["latency_p95"] <= row["latency_p99"]
         assert row["rate"] > 0
         assert np.isfinite(row["mse_ratio"])
+
+
+def test_the_span_of_a_case_is_that_of_its_scenes(tmp_path: Path) -> None:
+    truth = population.made("boxes-3x3x48x48@8")().reference_truth()
+    assert truth is not None
+    assert 7 < np.ptp(truth.disparity) <= 8
+    for command in ("live", "flicker"):
+        option = "--cases" if command == "live" else "--case"
+        outcome = CliRunner().invoke(app, [command, f"{option}=3x3x48x48@8", "--device=cpu"])
+        assert outcome.exit_code == 1
+        assert "leave it out" in outcome.output
 
 
 def test_parity_takes_all_files_of_kernels_that_ask_for_a_device() -> None:
