@@ -105,7 +105,7 @@ def in_threads(work: Callable[[_Item], _Done], items: Iterable[_Item], *, most: 
     with ThreadPoolExecutor(min(get_threads(), most or get_threads())) as pool:
         results = pool.map(work, items)
         try:
-            do_waiting()
+            do_waiting(among_threads=True)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -126,10 +126,13 @@ def meanwhile(work: Callable[[], None]) -> Iterator[None]:
         _here.work = None
 
 
-def do_waiting() -> None:
-    """Do the work of `meanwhile` now if that is still to do; called by who has asked others for something."""
+def do_waiting(*, among_threads: bool = False) -> None:
+    """Do the work of `meanwhile` now if that is still to do; call it once a device or other threads have work."""
     work, _here.work = getattr(_here, "work", None), None
     if work is None:
+        return
+    if not among_threads:
+        work()
         return
     interval = sys.getswitchinterval()
     sys.setswitchinterval(_SHORT)

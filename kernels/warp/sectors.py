@@ -9,7 +9,7 @@ import warp as wp
 from lfgpu.contract import COST_UNIT, COSTS, FOLD, SECTORS, Rows, sectors_of
 
 from .cpu_plane_sweep import kept_type, loading_kernels
-from .gpu_plane_sweep import WARP as _WARP, kept_type as gpu_kept_type, pack_kernel
+from .gpu_plane_sweep import WARP, kept_type as gpu_kept_type, pack_kernel
 from .memory import pixel_type
 from .native_code import c_type, kernel, names_of
 from .threads import check_size, flat, launch, launch_slices, once
@@ -72,8 +72,8 @@ class sector_costs:
         top, some = (0, held) if rows is None else (rows.first, rows.last - rows.first)
         planned = [self._order, self._begins, self._offsets, first, factor, self._scale, step, top]
         if not self._device.is_cpu:
-            strips = -(-some // _HIGH) * -(-columns * FOLD // _WARP)
-            threads = -(-labels * _WARP // _BLOCK) * _BLOCK * strips
+            strips = -(-some // _HIGH) * -(-columns * FOLD // WARP)
+            threads = -(-labels * WARP // _BLOCK) * _BLOCK * strips
             check_size(threads)
             inputs = [self._views, self._image, *planned, some]
             costs = _gpu_costs_kernel(*kind, self._valid is not None)

@@ -306,9 +306,9 @@ def _command(kernel: Any, dim: Any, arguments: tuple[Any, ...], device: Any, blo
 
 
 def _packed(argument: Any) -> Hashable:
-    """Return all that a kernel gets of an argument."""
-    if isinstance(argument, wp.array):
-        return argument.dtype, bytes(argument.__ctype__())
+    """Return all that a kernel gets of an argument; structs of arrays must not change once they were launched with."""
+    if hasattr(argument, "__ctype__"):
+        return getattr(argument, "dtype", None), bytes(argument.__ctype__())
     return bytes(argument) if isinstance(argument, ctypes.Array) else argument or repr(argument)  # 0.0 equals -0.0
 
 

@@ -72,7 +72,7 @@ OutFolder = Annotated[
 
 
 def preset_option(listed: str, usual: str | None = None) -> Any:
-    """Make the option --preset, whose help ends with a list of presets; `usual` is the one without it and --weights."""
+    """Make the option --preset, whose help ends with a list; `usual` is the preset without it and without --weights."""
     told = True if usual is None else f"{usual}, or learned with --weights"
     return typer.Option("--preset", metavar="NAME", help=f"Parameters to start from{listed}.", show_default=told)
 

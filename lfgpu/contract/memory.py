@@ -16,7 +16,8 @@ _here = threading.local()
 def take_host_memory(size: int, count: int) -> None:
     """Take memory for `count` arrays of `size` bytes from the system, for this thread's next calls of `host_memory`.
 
-    To write to pages for the first time takes many times as long as to write to them again.
+    What was taken before is let go of. To write to pages for the first time takes many times as long as to write to
+    them again.
     """
     _here.taken = [np.ones(size, np.uint8) for _ in range(count)]
 
@@ -26,7 +27,7 @@ def host_memory(shape: Sequence[int], dtype: Any) -> NDArray[Any]:
     taken, size = getattr(_here, "taken", None), math.prod(shape) * np.dtype(dtype).itemsize
     if not taken or len(taken[-1]) != size:
         return np.empty(shape, dtype)
-    return np.asarray(taken.pop().view(dtype).reshape(shape))
+    return taken.pop().view(dtype).reshape(shape)
 
 
 class Memory(Protocol):

@@ -234,13 +234,12 @@ class _Search:
             for horizontal in sorted({side.horizontal for side in sides})
         )
         size, offsets, reference = (len(chosen), *self._size), lf.offsets[chosen] / factor, at[lf.reference_index]
-        name, kind = (len(chosen), times), (size, offsets.tobytes(), lines, reference)
         compare = self._device.kept(
-            ("comparison", *name), kind[:1], lambda: _Comparison(self._device, size, times=times)
+            ("comparison", len(chosen), times), (size,), lambda: _Comparison(self._device, size, times=times)
         )
         costs = self._device.kept(
-            ("costs", *name),
-            (*kind, count),
+            ("costs", len(chosen), times),
+            (size, offsets.tobytes(), lines, reference, count),
             lambda: _Costs(self._device, compare.shape, offsets, lines, reference, count=count),
         )
         disparity = compare(

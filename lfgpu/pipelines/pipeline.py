@@ -317,8 +317,9 @@ class DepthPipeline:
 
     def _follow_at_once(self) -> None:
         """Run all stages, and wait for the last only; again those after the first one, if that takes a wider range."""
-        # Those of the stages, that of the first one twice, and disparity, confidence and uncertainty.
-        self._done("run", self._captured() or self.work, maps=len(self.method.stages) + 4)
+        # One map of each stage, disparity, confidence and uncertainty; that of the first stage again for `_widen`.
+        again = self._runs == 0 and self._is_found
+        self._done("run", self._captured() or self.work, maps=len(self.method.stages) + 3 + again)
         first, measured = self.method.MATCHED, self.measured
         if first is not None and self._runs == 0:
             self._widen(first, None)
@@ -411,7 +412,8 @@ class DepthPipeline:
         with self._timed(part):
             with self._device.asking():
                 work()
-            do_waiting()
+            if self._device.is_gpu:
+                do_waiting()
             if maps:
                 take_host_memory(4 * math.prod(self._layout.size), maps)
             self.kernels.number(self._waited_for)

@@ -5,6 +5,7 @@ pixels are packed, masks. Each kind of kernel takes seconds to compile, so these
 `python -m benchmarks gpu-parity --device cuda` runs all of them on a GPU.
 """
 
+import importlib
 import re
 import sys
 import weakref
@@ -111,12 +112,24 @@ def test_a_launch_with_the_same_memory_and_numbers_is_prepared_once(
         assert gpu.numpy(out).tobytes() == np.full((2, 3), value, np.float32).tobytes()
         return len(seen)
 
+    launched(3.0, one)  # loads the kernel
     calls = ((1.0, one), (1.0, other), (1.0, one), (0.0, one), (-0.0, one), (0.0, one), (2.0, other), (1.0, other))
     assert [launched(*call) for call in calls] == [1, 1, 0, 1, 1, 0, 1, 0]
     with threads.marked_slices():
         assert launched(1.0, one) == launched(1.0, one) == 1
     memory = weakref.ref(one)
     del one, calls
+    assert memory() is None
+
+
+def test_what_is_kept_of_a_struct_holds_no_memory(gpu: KernelSet) -> None:
+    threads, lbfgs = (importlib.import_module(f"{gpu_blocks.NAME}.{name}") for name in ("threads", "gpu_lbfgs"))
+    one, other = lbfgs.State(), lbfgs.State()
+    assert threads._packed(one) == threads._packed(other)
+    one.step = wp.zeros(1, dtype=wp.float64, device="cpu")
+    memory, kept = weakref.ref(one.step), threads._packed(one)
+    assert kept != threads._packed(other)
+    del one
     assert memory() is None
 
 
