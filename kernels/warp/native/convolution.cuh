@@ -26,8 +26,8 @@ inline void add_products(float* sums, const unsigned* a, unsigned b0, unsigned b
             : "r"(a[0]), "r"(a[1]), "r"(b0));
 }
 
-// Load factors a: the first 16 lanes have the places of the pixels, the others, if `both` blocks are loaded, those of the
-// same pixels 8 channels on.
+// Load factors a: the first 16 lanes have the places of the pixels, the others those of the same pixels 8 channels on,
+// which are loaded if there are `both` blocks.
 inline void load_factors(unsigned* a, const unsigned* from, bool both) {
     if (both)
         asm volatile("ldmatrix.sync.aligned.m8n8.x4.shared.b16 {%0,%1,%2,%3}, [%4];"
@@ -53,9 +53,9 @@ inline void end_copies() {
 //
 // What they need of a slice of the volume lies in shared memory, APART numbers from pixel to pixel: eight pixels are in
 // different banks then. A tap reads each SXth column, so columns x with the same x % SX lie together. A line is read
-// once for all taps in a column of the window. The next slice is copied while one is multiplied if both have room in SHARED
-// bytes. Weights are in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane]. Two blocks of
-// outputs are 16 channels, of which each lane has four next to each other, which it writes at once.
+// once for all taps in a column of the window. The next slice is copied while one is multiplied if both have room in
+// SHARED bytes. Weights are in the order of the lanes: [tap, block of 8 channels, block of 8 outputs, lane]. Two blocks
+// of outputs are 16 channels, of which each lane has four next to each other, which it writes at once.
 //
 // Where windows are pixels, nothing is shared: each lane reads four of 16 channels of the volume at once, too.
 void convolve_tiles(
