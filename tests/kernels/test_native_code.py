@@ -80,10 +80,10 @@ def gpu_kernels() -> Iterator[Any]:
         yield [convolution._kernel("convolve_tiles", *kind, convolution._tiles(shape, strides))]
     yield convolution._kernel("convolve_voxels", (3, 3, 3, 24, 4), (1, 1, 1), False, float16, wp.float32)
     yield [peak._kernel(stored, False) for stored in (float16, wp.float32)]
-    yield [sectors._gpu_costs_kernel(1, byte, float16), sectors._fold_kernel(3, float16)]
+    yield [sectors._gpu_costs_kernel(1, byte, float16, masked=False), sectors._fold_kernel(3, float16)]
     yield gpu_data_term._kernels(3, float16, float16)
     for stored in (byte, wp.uint16, float16, wp.float32):
-        yield sectors._gpu_costs_kernel(3, stored, wp.float32)
+        yield sectors._gpu_costs_kernel(3, stored, wp.float32, masked=stored is byte)
         yield alignment._kernels(1 if stored is byte else 3, stored, stored, False)
         yield [gpu_plane_sweep.pack_kernel(3, stored), gpu_plane_sweep.mark_kernel(3, stored)]
         yield gpu_plane_sweep.sweep_kernel(3, stored, 2, False, True, True, 1e-4)
