@@ -405,10 +405,7 @@ class DepthPipeline:
             self._done("rectify", self._front.work)
 
     def _done(self, part: str, work: Callable[[], object], *, maps: int = 0) -> None:
-        """Ask for some work, wait until the device has done it, and time it as a part of the estimate.
-
-        While the device works, the host takes memory for so many `maps`.
-        """
+        """Do work on the device as a timed part of the estimate; the host takes memory for so many `maps` meanwhile."""
         with self._timed(part):
             with self._device.asking():
                 work()
