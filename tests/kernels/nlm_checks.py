@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from checks import Case, Desk, Operation, Outputs, float32, relative_to_terms, size
+from checks import Case, Desk, Operation, Outputs, Values, float32, largest_error, relative_to_terms, size
 
 from lfgpu.contract import half_window
 
@@ -93,9 +93,15 @@ def nlm_laplacian(desk: Desk, i: SimpleNamespace) -> Outputs:
     return {"laplacian": alone, "and diagonal": beside}
 
 
+def weights_errors(got: dict[str, Values], want: dict[str, Values], _: SimpleNamespace) -> dict[str, float]:
+    """Relative to the largest w max(1, |log w|): a weight is exp(-x), and what float32 rounds is x."""
+    w = want["weights"]
+    return {"weights": largest_error(got["weights"], w, float((w * np.maximum(1, -np.log(w.clip(1e-300)))).max()))}
+
+
 NEIGHBORS = Operation(nlm_neighbors, "nlm", relative_to_terms(sums=lambda i: size(i.values)))
 LAPLACIAN = Operation(
     nlm_laplacian, "nlm", relative_to_terms(**dict.fromkeys(("laplacian", "and diagonal"), lambda i: size(i.values)))
 )
-WEIGHTS = Operation(nlm_weights, "nlm")
+WEIGHTS = Operation(nlm_weights, "nlm", weights_errors)
 OPERATIONS = (WEIGHTS, NEIGHBORS, LAPLACIAN)

@@ -136,6 +136,11 @@ def seen_by_reference(desk: Desk, i: SimpleNamespace) -> Outputs:
     return out
 
 
-DATA_TERM = Operation(data_term, "splat", relative_to_terms(gradient=lambda i: size(i.image, i.offsets)))
+def share_of_a_view(i: SimpleNamespace) -> float:
+    """The size of what one view adds to the gradient of a pixel: 2 Σ image · residual over channels, by its offset."""
+    return 2 * i.image.shape[-1] * size(i.image, i.offsets)
+
+
+DATA_TERM = Operation(data_term, "splat", relative_to_terms(gradient=share_of_a_view))
 SEEN_BY_REFERENCE = Operation(seen_by_reference, "seen")
 OPERATIONS = (DATA_TERM, SEEN_BY_REFERENCE)
