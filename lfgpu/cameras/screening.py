@@ -8,7 +8,6 @@ grow and change in brightness. Half of a finding makes the cameras worth a look,
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,6 @@ from lfgpu.cameras.signs import order_of_depth
 from lfgpu.cameras.surface import blocks, looked_up, with_slopes
 from lfgpu.contract import Float64Array
 from lfgpu.data.lightfield import LightField
-from lfgpu.threads import in_threads
 
 _SHARE = 0.5  # of a finding
 _FIRST, _SURELY_RIGHT = 4, 0.75  # one in so many points ends it, if by them alone cameras have so little of that share
@@ -45,8 +43,7 @@ def worth_a_look(
     `disparity` is the map of the reference view [y, x]. Its `windows` may have been ranked before.
     """
     index = np.arange(len(lf.views)) if seen is None else lf.layout.chosen(seen)
-    tests = partial(_may_be_off, windows or Windows(lf), index), partial(_may_be_swapped, lf, index)
-    return any(in_threads(lambda is_wrong: is_wrong(disparity), tests))
+    return _may_be_off(windows or Windows(lf), index, disparity) or _may_be_swapped(lf, index, disparity)
 
 
 def _may_be_off(windows: Windows, index: NDArray[np.intp], disparity: NDArray[np.float32]) -> bool:
