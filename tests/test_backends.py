@@ -191,12 +191,11 @@ def test_nothing_is_rehearsed_where_nothing_is_compiled(compiled: set[str]) -> N
 
 def test_a_rehearsal_loads_all_kernels_at_once_and_computes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     loads: list[str] = []
-    from_cache = threads.from_cache
+    load_module = threads._load
 
-    def watched(start: Callable[[], object], module: Any, *where: Any) -> None:
-        if not threads.is_preparing():
-            loads.append(threading.current_thread().name)
-        from_cache(start, module, *where)
+    def watched(*variant: Any) -> None:
+        loads.append(threading.current_thread().name)
+        load_module(*variant)
 
     monkeypatch.setattr(threads, "_loaded", set())
     monkeypatch.setattr(rehearsal, "_known", set())
@@ -206,7 +205,7 @@ def test_a_rehearsal_loads_all_kernels_at_once_and_computes_nothing(monkeypatch:
     made.estimate()
     assert threads._loaded == loaded
     monkeypatch.setattr(threads, "_loaded", set())
-    monkeypatch.setattr(threads, "from_cache", watched)
+    monkeypatch.setattr(threads, "_load", watched)
     rehearsal._known.clear()
     rehearsal.Rehearsal(made.method, lf, place).run(made.measured)
     assert len(loads) == len(threads._loaded) > 20

@@ -159,9 +159,7 @@ def kernel(
 
     An argument `int tid` at the beginning is the index of the thread; the others are given when it is launched.
     `module` is the module of Warp that it is compiled in, by default one for each specialisation; `launch_bounds` are
-    the threads of a block on a GPU, and the blocks that a multiprocessor is to hold at once. It is compiled
-    for the widest vectors that the CPU has: compilers use 256 of 512 bits where nobody says so, as the first CPUs with
-    more were slower with them.
+    the threads of a block on a GPU, and the blocks that a multiprocessor is to hold at once.
     """
     return _kept(file, name, module, launch_bounds, tuple(given.items()))
 
@@ -186,10 +184,7 @@ def _kept(
     if module is None:
         kind = zlib.crc32(repr([(key, _said(value)) for key, value in items]).encode())
         module = f"lfgpu_{file.replace('.', '_')}_{name}_{kind:08x}"
-    found = wp.kernel(calling, module=module, enable_backward=False, launch_bounds=launch_bounds)
-    flags = wp.config.cpu_compiler_flags or "-march=native"  # Warp's default
-    wp.set_module_options({"cpu_compiler_flags": f"{flags} -mprefer-vector-width=512"}, found.module)
-    return found
+    return wp.kernel(calling, module=module, enable_backward=False, launch_bounds=launch_bounds)
 
 
 def _said(value: Any) -> str:

@@ -14,7 +14,7 @@ import zlib
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
-from functools import lru_cache, partial, wraps
+from functools import cache, lru_cache, partial, wraps
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -30,18 +30,29 @@ _IS_BEING_MADE = re.compile(r"_p\d+_t\d+$").search  # a folder that Warp renames
 _loaded: set[tuple[Any, str, int | None]] = set()  # modules of kernels, for a device and a number of threads in a block
 
 
-def from_cache(start: Callable[[], object], module: Any, device: Any, block_dim: int | None) -> None:
-    """Start what compiles a module or takes it from the cache; what is damaged there is compiled again.
-
-    A crash leaves files that are cut short, which Warp finds; a disk flips bits, which only a processor would find.
-    While this thread prepares work (`prepare`), it is noted only.
-    """
+def from_cache(module: Any, device: Any, block_dim: int | None) -> None:
+    """Compile a module or take it from the cache, once; while this thread prepares work (`prepare`), note it only."""
     variant = module, str(device), block_dim
     if is_preparing():
         _prepared.variants[variant] = None
-        return
-    is_new = variant not in _loaded
-    if is_new and not all(map(_is_whole, _files(module))):
+    elif variant not in _loaded:
+        with LOADING:
+            if variant not in _loaded:
+                _compilers(get_threads()).submit(_load, *variant).result()
+
+
+def _load(module: Any, device: str, block_dim: int | None) -> None:
+    """Load a module; what is damaged in the cache is compiled again.
+
+    A crash leaves files that are cut short, which Warp finds; a disk flips bits, which only a processor would find.
+    """
+    start = partial(wp.load_module, module, device=device, block_dim=block_dim or 0)  # 0: what launches have
+    # For the widest vectors of a CPU: compilers use 256 of 512 bits where nobody says so, as the first CPUs with more
+    # were slower with them. All modules have the same flags: for others Warp's headers would be read again.
+    flags = f"{wp.config.cpu_compiler_flags or '-march=native'} -mprefer-vector-width=512"
+    if wp.get_module_options(module)["cpu_compiler_flags"] != flags:
+        wp.set_module_options({"cpu_compiler_flags": flags}, module)
+    if not all(map(_is_whole, _files(module))):
         _forget(module)
     try:
         start()
@@ -51,11 +62,10 @@ def from_cache(start: Callable[[], object], module: Any, device: Any, block_dim:
         if not _forget(module):
             raise
         start()
-    if is_new:
-        for file in _files(module):
-            with suppress(OSError):  # others may use a cache that they may not write to
-                _seal(file)
-        _loaded.add(variant)
+    for file in _files(module):
+        with suppress(OSError):  # others may use a cache that they may not write to
+            _seal(file)
+    _loaded.add((module, device, block_dim))
 
 
 _prepared = threading.local()
@@ -80,11 +90,10 @@ def prepare(work: Callable[[], None], device: str) -> None:
 
     def load_one(module: Any) -> None:
         for place, block_dim in of_modules[module]:
-            start = partial(wp.load_module, module, device=place, block_dim=block_dim or 0)  # 0: what launches have
-            from_cache(start, module, place, block_dim)
+            _load(module, place, block_dim)
 
-    with LOADING, ThreadPoolExecutor(get_threads(), thread_name_prefix="lfgpu-compiling") as pool:
-        list(pool.map(load_one, of_modules))
+    with LOADING:
+        list(_compilers(get_threads()).map(load_one, of_modules))
 
 
 def _forget(module: Any) -> bool:
@@ -275,14 +284,14 @@ def launch(
     block_dim: int | None = None,
 ) -> None:
     """Launch a kernel; what a crash left of it in the cache of kernels is compiled again."""
-    place, options = wp.get_device(device), {"device": device, "stream": stream, "block_dim": block_dim}
-    if not _is_loaded(kernel.module, device, block_dim):
-        from_cache(lambda: wp.launch(kernel, dim, inputs, outputs, **options), kernel.module, device, block_dim)
-    elif place.is_cuda and not is_recording():
+    from_cache(kernel.module, device, block_dim)
+    if is_preparing():
+        return
+    if (place := wp.get_device(device)).is_cuda and not is_recording():
         if (command := _command(kernel, dim, (*inputs, *outputs), place, block_dim)) is not None:
             command.launch(stream)
     else:
-        wp.launch(kernel, dim, inputs, outputs, **options)
+        wp.launch(kernel, dim, inputs, outputs, device=device, stream=stream, block_dim=block_dim)
 
 
 _commands: dict[tuple[Hashable, ...], Any] = {}
@@ -312,17 +321,13 @@ def _packed(argument: Any) -> Hashable:
     return bytes(argument) if isinstance(argument, ctypes.Array) else argument or repr(argument)  # 0.0 equals -0.0
 
 
-def _is_loaded(module: Any, device: Any, block_dim: int | None) -> bool:
-    """Tell whether what is loaded may be launched at once."""
-    return (module, str(device), block_dim) in _loaded and not is_preparing()
-
-
 def launch_tiles(
     kernel: Any, dim: list[int], inputs: list[Any], outputs: list[Any], *, device: Any, block_dim: int
 ) -> None:
     """Launch a kernel whose threads work together on tiles, as `launch` does."""
-    options = {"dim": dim, "inputs": inputs, "outputs": outputs, "device": device, "block_dim": block_dim}
-    from_cache(lambda: wp.launch_tiled(kernel, **options), kernel.module, device, block_dim)
+    from_cache(kernel.module, device, block_dim)
+    if not is_preparing():
+        wp.launch_tiled(kernel, dim=dim, inputs=inputs, outputs=outputs, device=device, block_dim=block_dim)
 
 
 def flat(array: Any) -> Any:
@@ -352,12 +357,9 @@ def lanes(array: Any) -> int:
 
 
 def load(device: Any, *kernels: Any) -> None:
-    """Compile and load what threads are about to launch; they must not do it at the same time."""
-    if all(_is_loaded(kernel.module, device, None) for kernel in kernels):
-        return
-    with LOADING:
-        for module in {kernel.module for kernel in kernels}:
-            from_cache(partial(wp.load_module, module, device=device), module, device, None)
+    """Compile and load what threads are about to launch, so that none of them waits for another."""
+    for kernel in kernels:
+        from_cache(kernel.module, device, None)
 
 
 @lru_cache(maxsize=1)
@@ -365,5 +367,12 @@ def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu")
 
 
+@cache
+def _compilers(threads: int) -> ThreadPoolExecutor:
+    """Return the threads that compile, always the same ones: each of them has to read Warp's headers once."""
+    return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu-compiling")
+
+
 if hasattr(os, "register_at_fork"):  # the threads of a pool do not live on in a forked process
     os.register_at_fork(after_in_child=_pool.cache_clear)
+    os.register_at_fork(after_in_child=_compilers.cache_clear)
