@@ -85,116 +85,119 @@ void sweep_rows(
                 if (from >= to || begin >= end) continue;
 
                 const auto* const shown = views.data + n * CHANNELS * long_plane + margin + x0 - 1 + dx;
-                auto compare = [&](auto across, auto down) {
-                    auto level = [&](const auto* row, int j) {
-                        const float here = (float)row[j];
-                        if constexpr (!decltype(across)::is) return here;
-                        return here + ax * ((float)row[j + 1] - here);
-                    };
-                    const int above = GRADIENTS && begin > 0 ? begin - 1 : begin;
-                    if constexpr (decltype(down)::is)
-                        for (int c = 0; c < CHANNELS; ++c) {
-                            const size_t t = within(above + dy, height);
-                            const auto* const row = shown + c * long_plane + t * long_row;
-                            for (int j = 0; j < LANES; ++j) before[c * LANES + j] = level(row, j);
-                        }
-                    for (int y = above; y < end + GRADIENTS; ++y) {
-                        if constexpr (!GRADIENTS) {  // each difference is asked for once
-                            const size_t t = within(y + dy + decltype(down)::is, height);
-                            const auto* const row = shown + t * long_row;
-                            const float* const color = image.data + (size_t)y * (width + LANES) + x0;
-                            #pragma clang loop vectorize(assume_safety)
-                            for (int j = 0; j < LANES; ++j) {
-                                float size = 0.f;
-                                #pragma unroll
-                                for (int c = 0; c < CHANNELS; ++c) {
-                                    float value = level(row + c * long_plane, j);
-                                    if constexpr (decltype(down)::is) {
-                                        const float upper = before[c * LANES + j];
-                                        before[c * LANES + j] = value;
-                                        value = upper + ay * (value - upper);
-                                    }
-                                    size += size_of(value - color[(size_t)c * height * (width + LANES) + j]);
-                                }
-                                sizes[j] = size;
-                            }
-                        } else if (y < height) for (int c = 0; c < CHANNELS; ++c) {
-                            const int t = within(y + dy + decltype(down)::is, height);
-                            const auto* const row = shown + c * long_plane + (size_t)t * long_row;
-                            const float* const color = image.data + ((size_t)c * height + y) * (width + LANES) + x0;
-                            float* const previous = before + c * LANES;
-                            float* const out = differences + (y % 3 * CHANNELS + c) * (LANES + 2);
-                            #pragma clang loop vectorize(assume_safety)
-                            for (int j = 0; j < LANES; ++j) {
-                                float value = level(row, j);
-                                if constexpr (decltype(down)::is) {
-                                    const float upper = previous[j];
-                                    previous[j] = value;
-                                    value = upper + ay * (value - upper);
-                                }
-                                out[j] = value - color[j];
-                            }
-                            if (x0 == 0) out[0] = out[1];
-                            if (x0 + columns == width) out[columns + 1] = out[columns];
-                        }
-                        const int at = y - GRADIENTS;  // whose row below is there
-                        if (at < begin) continue;
-                        auto row_of = [&](int r) {
-                            return differences + within(r, height) % 3 * CHANNELS * (LANES + 2);
-                        };
-                        const float* const upper = row_of(at - 1);
-                        const float* const here = row_of(at);
-                        const float* const lower = row_of(at + 1);
-                        float* const cost = costs + group * sum_size + (at - top) * LANES;
-                        auto robust = [&](int j) {
-                            if constexpr (!GRADIENTS) return rooted(least_of(sizes[j + 1], most_color));
-                            float color = 0.f, slope = 0.f;
-                            #pragma unroll
-                            for (int c = 0; c < CHANNELS; ++c) {
-                                const int i = c * (LANES + 2) + j;
-                                color += size_of(here[i + 1]);
-                                slope += size_of(here[i + 2] - here[i]) + size_of(lower[i + 1] - upper[i + 1]);
-                            }
-                            return rooted(least_of(color, most_color)) + of_slope * least_of(slope, most_slope);
-                        };
-                        if (!counted && from == 0 && to == LANES - 2) {
-                            #pragma clang loop vectorize(assume_safety)
-                            for (int j = 0; j < LANES; ++j) cost[j] += robust(j);
-                            continue;
-                        }
-                        const size_t near = n * plane + (size_t)(at + dy + (ay >= 0.5f)) * width;
-                        const int near_x = x0 + dx + (ax >= 0.5f);
-                        if (seen && at + 1 < end)  // views lie too far apart for the cache to guess what comes next
-                            for (int j = from; j < to; j += 16)
-                                __builtin_prefetch(nearest.data + near + width + j + near_x);
-                        float found[LANES];
-                        #pragma clang loop vectorize(assume_safety)
-                        for (int j = 0; j < LANES; ++j) found[j] = robust(j);
-                        if (!counted) {
-                            for (int j = from; j < to; ++j) cost[j] += found[j];
-                            continue;
-                        }
-                        const float* const mask = valid.data + near;
-                        const float* const surface = nearest.data + near;
-                        float* const count = cost + groups * sum_size;
-                        auto add = [&](auto takes_part) {
-                            #pragma clang loop vectorize(assume_safety)
-                            for (int j = from; j < to; ++j) {
-                                const bool part = takes_part(j);
-                                cost[j] += part ? found[j] : 0.f;
-                                count[j] += part ? 1.f : 0.f;
-                            }
-                        };
-                        if (seen && valid.data)
-                            add([&](int j) { return mask[j + near_x] != 0.f && surface[j + near_x] <= deepest; });
-                        else if (seen) add([&](int j) { return surface[j + near_x] <= deepest; });
-                        else add([&](int j) { return mask[j + near_x] != 0.f; });
+                auto level = [&](auto across, const auto* row, int j) {
+                    const float here = (float)row[j];
+                    if constexpr (!decltype(across)::is) return here;
+                    return here + ax * ((float)row[j + 1] - here);
+                };
+                auto keep_row_above = [&](auto across, int y) {
+                    for (int c = 0; c < CHANNELS; ++c) {
+                        const size_t t = within(y + dy, height);
+                        const auto* const row = shown + c * long_plane + t * long_row;
+                        for (int j = 0; j < LANES; ++j) before[c * LANES + j] = level(across, row, j);
                     }
                 };
-                if (ax > 0.f && ay > 0.f) compare(Yes(), Yes());
-                else if (ax > 0.f) compare(Yes(), No());
-                else if (ay > 0.f) compare(No(), Yes());
-                else compare(No(), No());
+                auto find_differences = [&](auto across, auto down, int y) {
+                    if constexpr (!GRADIENTS) {  // each difference is asked for once
+                        const size_t t = within(y + dy + decltype(down)::is, height);
+                        const auto* const row = shown + t * long_row;
+                        const float* const color = image.data + (size_t)y * (width + LANES) + x0;
+                        #pragma clang loop vectorize(assume_safety)
+                        for (int j = 0; j < LANES; ++j) {
+                            float size = 0.f;
+                            #pragma unroll
+                            for (int c = 0; c < CHANNELS; ++c) {
+                                float value = level(across, row + c * long_plane, j);
+                                if constexpr (decltype(down)::is) {
+                                    const float upper = before[c * LANES + j];
+                                    before[c * LANES + j] = value;
+                                    value = upper + ay * (value - upper);
+                                }
+                                size += size_of(value - color[(size_t)c * height * (width + LANES) + j]);
+                            }
+                            sizes[j] = size;
+                        }
+                    } else if (y < height) for (int c = 0; c < CHANNELS; ++c) {
+                        const int t = within(y + dy + decltype(down)::is, height);
+                        const auto* const row = shown + c * long_plane + (size_t)t * long_row;
+                        const float* const color = image.data + ((size_t)c * height + y) * (width + LANES) + x0;
+                        float* const previous = before + c * LANES;
+                        float* const out = differences + (y % 3 * CHANNELS + c) * (LANES + 2);
+                        #pragma clang loop vectorize(assume_safety)
+                        for (int j = 0; j < LANES; ++j) {
+                            float value = level(across, row, j);
+                            if constexpr (decltype(down)::is) {
+                                const float upper = previous[j];
+                                previous[j] = value;
+                                value = upper + ay * (value - upper);
+                            }
+                            out[j] = value - color[j];
+                        }
+                        if (x0 == 0) out[0] = out[1];
+                        if (x0 + columns == width) out[columns + 1] = out[columns];
+                    }
+                };
+                const int above = GRADIENTS && begin > 0 ? begin - 1 : begin;
+                if (ay > 0.f && ax > 0.f) keep_row_above(Yes(), above);
+                else if (ay > 0.f) keep_row_above(No(), above);
+                for (int y = above; y < end + GRADIENTS; ++y) {
+                    if (ax > 0.f && ay > 0.f) find_differences(Yes(), Yes(), y);
+                    else if (ax > 0.f) find_differences(Yes(), No(), y);
+                    else if (ay > 0.f) find_differences(No(), Yes(), y);
+                    else find_differences(No(), No(), y);
+                    const int at = y - GRADIENTS;  // whose row below is there
+                    if (at < begin) continue;
+                    auto row_of = [&](int r) {
+                        return differences + within(r, height) % 3 * CHANNELS * (LANES + 2);
+                    };
+                    const float* const upper = row_of(at - 1);
+                    const float* const here = row_of(at);
+                    const float* const lower = row_of(at + 1);
+                    float* const cost = costs + group * sum_size + (at - top) * LANES;
+                    auto robust = [&](int j) {
+                        if constexpr (!GRADIENTS) return rooted(least_of(sizes[j + 1], most_color));
+                        float color = 0.f, slope = 0.f;
+                        #pragma unroll
+                        for (int c = 0; c < CHANNELS; ++c) {
+                            const int i = c * (LANES + 2) + j;
+                            color += size_of(here[i + 1]);
+                            slope += size_of(here[i + 2] - here[i]) + size_of(lower[i + 1] - upper[i + 1]);
+                        }
+                        return rooted(least_of(color, most_color)) + of_slope * least_of(slope, most_slope);
+                    };
+                    if (!counted && from == 0 && to == LANES - 2) {
+                        #pragma clang loop vectorize(assume_safety)
+                        for (int j = 0; j < LANES; ++j) cost[j] += robust(j);
+                        continue;
+                    }
+                    const size_t near = n * plane + (size_t)(at + dy + (ay >= 0.5f)) * width;
+                    const int near_x = x0 + dx + (ax >= 0.5f);
+                    if (seen && at + 1 < end)  // views lie too far apart for the cache to guess what comes next
+                        for (int j = from; j < to; j += 16)
+                            __builtin_prefetch(nearest.data + near + width + j + near_x);
+                    float found[LANES];
+                    #pragma clang loop vectorize(assume_safety)
+                    for (int j = 0; j < LANES; ++j) found[j] = robust(j);
+                    if (!counted) {
+                        for (int j = from; j < to; ++j) cost[j] += found[j];
+                        continue;
+                    }
+                    const float* const mask = valid.data + near;
+                    const float* const surface = nearest.data + near;
+                    float* const count = cost + groups * sum_size;
+                    auto add = [&](auto takes_part) {
+                        #pragma clang loop vectorize(assume_safety)
+                        for (int j = from; j < to; ++j) {
+                            const bool part = takes_part(j);
+                            cost[j] += part ? found[j] : 0.f;
+                            count[j] += part ? 1.f : 0.f;
+                        }
+                    };
+                    if (seen && valid.data)
+                        add([&](int j) { return mask[j + near_x] != 0.f && surface[j + near_x] <= deepest; });
+                    else if (seen) add([&](int j) { return surface[j + near_x] <= deepest; });
+                    else add([&](int j) { return mask[j + near_x] != 0.f; });
+                }
             }
 
             for (int m = 0; m < view_sets; ++m) {
