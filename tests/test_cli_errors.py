@@ -120,9 +120,13 @@ def test_an_empty_name_is_not_the_current_folder(
 
 @pytest.mark.parametrize(
     ("name", "words"),
-    [("", "the path is empty; name a file or a folder"), ("a\0b", r"without zero bytes, .*, not 'a\\x00b'\.")],
+    [
+        ("", "the path is empty; name a file or a folder"),
+        ("a\0b", r"without zero bytes, .*, not 'a\\x00b'\."),
+        ("a\ud800b", r"must be a name that files can have, not 'a\\ud800b'\."),
+    ],
 )
-def test_no_file_has_an_empty_name_or_a_zero_byte_in_it(
+def test_names_that_no_file_can_have_are_refused(
     name: str, words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

@@ -70,13 +70,17 @@ def texts(name: str, values: Any) -> tuple[str, ...]:
 
 
 def named(path: str | os.PathLike[str]) -> Path:
-    """Return a path; LightFieldError if it is none, holds a zero byte, or is empty: that means the current folder."""
+    """Return a path; LightFieldError if it is none, no file can have that name, or it is empty (the current folder)."""
     if not isinstance(path, str | os.PathLike):
         raise LightFieldError(f"path must name a file or a folder, not {path!r:.60}.")
     if not os.fspath(path):
         raise LightFieldError("the path is empty; name a file or a folder.")
     if "\0" in os.fspath(path):
         raise LightFieldError(f"path must be without zero bytes, as all file names are, not {os.fspath(path)!r:.60}.")
+    try:
+        os.fsencode(path)
+    except UnicodeEncodeError as error:  # half of a surrogate pair
+        raise LightFieldError(f"path must be a name that files can have, not {os.fspath(path)!r:.60}.") from error
     return Path(path)
 
 

@@ -55,7 +55,7 @@ def atomic_folder(
     """
     target = _resolved(out)
     # A folder that is there may be a mount point, or writable when its parent is not: then staging happens inside it.
-    exists = target.is_dir()
+    exists = _exists(target) and target.is_dir()
     with _staged(target, target if exists else target.parent) as temporary:
         if target.exists() and not exists:
             raise NotADirectoryError(0, "it is a file, not a folder")
@@ -95,12 +95,14 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True, source: 
     target = _resolved(out)
     if source is not None and os.path.realpath(source) == str(target):
         raise LightFieldError(f"-o names {out}, which is the input: it could be written over; name another.")
-    if not folder and target.is_dir():
-        raise LightFieldError(f"{target} cannot be written: it is a folder; name a file in it.")
     # A file is replaced by its sibling, a folder is written into: a folder has to be writable in both cases.
     place = target if folder else target.parent
     while not _exists(place):
         place = place.parent
+    for name in target.relative_to(place).parts:
+        _exists(place / name)  # raises for a name that is too long, which is not noticed below a missing folder
+    if not folder and target.is_dir():
+        raise LightFieldError(f"{target} cannot be written: it is a folder; name a file in it.")
     if not place.is_dir():
         raise LightFieldError(f"{target} cannot be written: {place} is a file, not a folder; choose another place.")
     if not os.access(place, os.W_OK | os.X_OK):
@@ -205,7 +207,14 @@ def _move_files(source: Path, target: Path, ours: Collection[str], mark: str | N
 
 
 def _exists(path: Path) -> bool:
+    """Tell whether a path is there; LightFieldError if it cannot be, because a name is too long or links are a circle.
+
+    In a folder that may not even be looked into nothing is there: the search goes on above it.
+    """
     try:
-        return path.exists()
-    except PermissionError:  # in a folder that may not even be looked into: the search goes on above it
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError, PermissionError):
         return False
+    except OSError as error:
+        raise LightFieldError(f"{path} cannot be written: {error.strerror}.") from error
+    return True

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from command_line import lfgpu, refused as refused_command
 from samples import refusal
 
 from lfgpu.errors import LightFieldError
@@ -162,6 +163,20 @@ def test_places_that_cannot_be_written_are_found_early_and_late(tmp_path: Path) 
     assert f"{file} is a file" in refusal(lambda: check_writable(file / "a.pfm", folder=False))
     assert str(file / "a.pfm") in refusal(lambda: write_pfm(file / "a.pfm", np.zeros((3, 7), np.float32)))
     assert file.read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["x" * 300, f"new/{'x' * 300}/a", "a/" * 3000])
+def test_a_name_that_is_too_long_is_found_early_and_late(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for is_folder in (True, False):
+        refused = refusal(lambda is_folder=is_folder: check_writable(tmp_path / name, folder=is_folder))
+        assert re.fullmatch(r".* cannot be written: File name too long\.", refused)
+    for context in (atomic_folder(tmp_path / name), atomic_write(tmp_path / name)):
+        assert "too long" in refusal(lambda context=context: enter(context))
+    monkeypatch.chdir(tmp_path)
+    refused_command(lfgpu("scene", "boxes", "-o", name), "too long")
+    assert list(tmp_path.iterdir()) == []
 
 
 def enter(context: Any) -> None:
