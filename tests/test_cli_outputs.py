@@ -14,6 +14,7 @@ from lfgpu import PRESETS, evaluate, load, point_cloud, read, refocus, render_vi
 from lfgpu.calibration import export_scene
 from lfgpu.errors import LightFieldError
 from lfgpu.io import write_description, write_hci
+from lfgpu.io.images import read_view
 from tests.made import thorough
 
 SAVED = ("map.exr", "map.tif", "map16.png", "cloud.ply", "map.npz", "map.pfm")
@@ -88,6 +89,16 @@ def test_outputs_are_checked_before_anything_is_read(
     tiles = recorded / "input_Cam004.png"
     refused(lfgpu("depth", tiles, "-o", recorded, "--save", tiles.name), "which is the input")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_second_run_reads_no_more_views_than_the_first(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    decoded: list[Path] = []
+    monkeypatch.setattr("lfgpu.io.views.read_view", lambda file: [decoded.append(file), read_view(file)][1])
+    for run in (1, 2):
+        said("depth", recorded, "-o", tmp_path, "--save", "mine.tif", "--views", "column", "--preset", "fast", *RANGE)
+        assert len(decoded) == 3 * run
 
 
 def test_views_and_maps_that_are_read_stay(

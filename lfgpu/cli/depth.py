@@ -89,8 +89,7 @@ def depth(
                 "--max-memory works for the map of one view only; leave out --max-memory or --all-views."
             )
     options = reading.options()
-    replaced = any((out / name).exists() for name in saved or ())  # it may be a view that is not needed
-    if chosen.place() is None and not all_views and not report and not replaced:
+    if chosen.place() is None and not all_views and not report:
         options["needed"] = needed_views(config, chosen.pattern)
     if computing.device is not None or computing.backend != DEFAULT:
         estimation.check_device()  # what was asked for is checked before anything is read

@@ -90,9 +90,9 @@ def read_grid(
     places = sorted(files)
     hole_notes = holes(places, shape, folder=folder, allow_missing=allow_missing)
     centre = reference or (shape[0] // 2, shape[1] // 2)
-    if centre in files:
-        places = [places[index] for index in needed_of(np.subtract(places, centre, dtype=np.float64)[:, ::-1])]
-    views, valid, image_notes = load_views([files[place] for place in places])
+    kept = needed_of(np.subtract(places, centre, dtype=np.float64)[:, ::-1]) if centre in files else range(len(places))
+    views, valid, image_notes = load_views([files[place] for place in places], kept)
+    places = [places[index] for index in kept]
     light_field = LightField(
         views,
         np.array([(column, row) for row, column in places], np.float64),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import AbstractContextManager
 from contextvars import ContextVar
 from itertools import count
@@ -35,13 +35,16 @@ def before_writing(outputs: Collection[Path]) -> AbstractContextManager[object]:
     return within(_OUTPUTS, outputs)
 
 
-def load_views(files: Sequence[Path]) -> tuple[NDArray[Any], NDArray[np.bool_] | None, tuple[str, ...]]:
-    """Read image files, alike in size, colour and type, into one array in their order.
+def load_views(
+    files: Sequence[Path], needed: Iterable[int] | None = None
+) -> tuple[NDArray[Any], NDArray[np.bool_] | None, tuple[str, ...]]:
+    """Read image files, by default all, alike in size, colour and type, into one array in their order.
 
     Returns views [n, y, x, c] as stored; bool [n, y, x], False where they are transparent, None if nothing is, or
     everything; and a sentence for each kind of conversion.
     """
     check_no_inputs(_OUTPUTS.get(), files)
+    files = files if needed is None else [files[index] for index in needed]
     first, alpha, remarks = read_view(files[0])
     masks: list[NDArray[np.bool_] | None] = [None] * len(files)
     masks[0] = alpha
