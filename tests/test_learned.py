@@ -27,6 +27,7 @@ from lfgpu.methods.matching.learned import BUILT_IN, NETWORK_REACH, VERSION, Net
 from lfgpu.methods.matching.unet import Weights
 from lfgpu.methods.measured import Measured
 from lfgpu.pipelines.all_views import estimate_all_views
+from lfgpu.pipelines.export import export_pipeline
 from lfgpu.pipelines.resident import KEPT
 from tests.made import masked, thorough
 
@@ -229,6 +230,8 @@ def test_weights_of_a_file_are_used_recorded_and_exported(
         assert lfgpu(command, tmp_path / source, "-o", tmp_path / command, "--device", "cpu", *arguments).code == 0
         about = json.loads((tmp_path / command / record).read_text())
         assert about["config"]["weights"] == theirs.config.weights
+    export_pipeline(scene, tmp_path / "python", weights=path, disparity_range=RANGE)
+    assert (tmp_path / "python" / "pipeline.json").read_text() == (tmp_path / "export" / "pipeline.json").read_text()
     np.savez(path, **{name: 2 * values for name, values in written[1].items()}, version=VERSION)
     assert configured("learned", path) != theirs.config
     for config in ("accurate", "fast", "paper"):

@@ -19,12 +19,12 @@ from lfgpu.data import LightField, check_light_field
 from lfgpu.errors import BackendError, LightFieldError
 from lfgpu.io.about import CONVENTION
 from lfgpu.io.atomic import atomic_folder, check_writable
-from lfgpu.methods import PresetName, configured, method_of
+from lfgpu.methods import PresetName, method_of
 from lfgpu.methods.base import LivePlan
 from lfgpu.methods.temporal_prior import TemporalPrior
 from lfgpu.pipelines.pipeline import measured_on
 from lfgpu.pipelines.rectifier import DeviceViews, Rectifier
-from lfgpu.pipelines.stream import CUT
+from lfgpu.pipelines.stream import CUT, live_config
 from lfgpu.pipelines.stream_engine import SEEN_CHANGE
 from lfgpu.threads import limited_threads
 
@@ -66,7 +66,8 @@ def export_pipeline(
     lf: LightField,
     out: str | os.PathLike[str],
     *,
-    config: Config | PresetName = "accurate",
+    config: Config | PresetName | None = None,
+    weights: str | os.PathLike[str] | None = None,
     disparity_range: tuple[float, float] | None = None,
     backend: BackendName = DEFAULT,
     device: str | None = "cpu",
@@ -81,8 +82,11 @@ def export_pipeline(
         A light field of the kind, as for `DepthPipeline`. Its cameras and masks become part of the files.
     out
         The folder; its README.txt explains the files. An older export is overwritten.
-    config, disparity_range
-        As for `estimate_depth`. The method must be exportable (`Method.is_recordable`), as matching is.
+    config
+        As for `estimate_depth`; the method must be exportable (`Method.is_recordable`), as matching is. Default None:
+        "accurate", or "learned" with weights.
+    weights, disparity_range
+        As for `estimate_depth`.
     backend
         "warp" (default), the only backend that can export.
     device
@@ -108,6 +112,7 @@ def export_pipeline(
     """
     check_light_field(lf)
     check_writable(out)
+    config = live_config(config, weights)
     method, kernels = method_of(config), load(backend)
     recording, streaming = kernels.recording, kernels.streaming
     if recording is None or streaming is None:
@@ -149,7 +154,7 @@ def export_pipeline(
                 "maps": {"names": ["disparity", "confidence"], "shape": list(lf.size), "dtype": "float32"},
                 "offsets": lf.offsets.tolist(),
                 "disparity_range": list(measured.disparity_range),
-                "config": as_dict(configured(config)),
+                "config": as_dict(config),
                 "prior": None if prior is None else asdict(prior),
                 "rectified": rectifier is not None,
             }

@@ -130,7 +130,7 @@ class DepthStream(StreamWork):
             check_positive("tolerance", tolerance, "seconds")
         most = most_waiting(policy, waiting)
         given = disparity_range is not None or measured is not None
-        self.config = _configured(config, weights)
+        self.config = live_config(config, weights)
         method, kernels = method_of(self.config), load(backend)
         streaming = kernels.streaming
         if streaming is None:
@@ -210,7 +210,7 @@ class DepthStream(StreamWork):
         places = np.asarray(positions, np.float64)
         views = np.zeros((len(places), *size, channels), dtype)
         lf = LightField(views, places, reference=reference)
-        config = _configured(config, weights)
+        config = live_config(config, weights)
         measured = method_of(config).given(lf.layout, disparity_range, noise)
         return cls(lf, config=config, measured=measured, **options)
 
@@ -378,7 +378,7 @@ class DepthStream(StreamWork):
         self.close(finish=kind is None)
 
 
-def _configured(config: Config | str | None, weights: str | os.PathLike[str] | None) -> Config:
+def live_config(config: Config | str | None, weights: str | os.PathLike[str] | None) -> Config:
     """Return parameters as `methods.configured` does, those of "accurate" where neither is given."""
     return configured("accurate" if config is None and weights is None else config, weights)
 
