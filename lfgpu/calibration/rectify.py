@@ -156,12 +156,11 @@ def rectify(
     (64, 80)
     """
     check_unit(unit)
-    pictures = source if isinstance(source, LightField) else _loaded(named(source), calibration is not None)
     if calibration is None and not isinstance(source, LightField):
-        beside = calibration_beside(named(source))
-        calibration = None if beside is None else read_calibration(beside, unit=unit)
-    elif calibration is not None and not isinstance(calibration, Calibration):
+        calibration = calibration_beside(named(source))
+    if calibration is not None and not isinstance(calibration, Calibration):
         calibration = read_calibration(calibration, unit=unit)
+    pictures = source if isinstance(source, LightField) else _loaded(named(source), calibrated=calibration is not None)
     rig, lf = None, pictures
     if unit is not None and depths is not None:
         depths = (UNITS[unit] * depths[0], UNITS[unit] * depths[1])
@@ -185,8 +184,8 @@ def rectify(
         lf = _with_truth(rig.light_field(pictures), pictures, rig)
     elif not model and not tones:
         raise LightFieldError(
-            f"{source} has no calibration beside it; name one (--calibration, or calibration=), or line the views up "
-            "by what they show (--refine, or model=)."
+            f"{pictures.name} has no calibration beside it; name one (--calibration, or calibration=), or line the "
+            "views up by what they show (--refine, or model=)."
         )
     if model is None and not tones:
         return Rectified(_looked_at_again(lf, pictures), rig, None, disparity_range, pictures.files)
@@ -228,9 +227,9 @@ def write_rectified(result: Rectified, folder: str | os.PathLike[str]) -> None:
 # --- steps ---
 
 
-def _loaded(path: Path, calibrated: bool) -> LightField:
+def _loaded(path: Path, *, calibrated: bool) -> LightField:
     """Load the pictures of a calibrated folder; a light field with a known truth, or without calibration, as such."""
-    if not path.is_dir() or not (calibrated or calibration_beside(path) is not None):
+    if not path.is_dir() or not calibrated:
         return read(path, allow_missing=True)
     try:
         known = read(path, allow_missing=True)

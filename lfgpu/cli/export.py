@@ -52,8 +52,8 @@ def export(
     bounds = values.parse_range("--disparity-range", disparity_range)
     options = reading.options()
     prior = None if cold else TemporalPrior()
-    lf = read(source, **options)
     rectifier = None if rectify is None else read_rectifier(rectify)
+    lf = read(source, **options)
     if rectifier is not None:
         lf = rectifier.pictures(lf.views, white=lf.white)
     export_pipeline(lf, out, config=config, disparity_range=bounds, device=device, prior=prior, rectifier=rectifier)

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from lfgpu.calibration import Rectified
+    from lfgpu.data import LightField
 
 
 def rectify(
@@ -72,30 +73,37 @@ def rectify(
     give the description that `lfgpu info --write` writes.
     """
     from lfgpu import calibration as cameras
-    from lfgpu.calibration.rectify import DEPTH_FILE, POINTS_FILE
+    from lfgpu.calibration.rectify import DEPTH_FILE, POINTS_FILE, calibration_beside
     from lfgpu.cli.console import output
-    from lfgpu.io import check_writable, save, write_pfm
+    from lfgpu.io import check_writable, read, save, write_pfm
+    from lfgpu.io.views import before_writing
 
     check_writable(out, source=source if source.is_dir() else source.parent)
     if positions and not refine:
         raise LightFieldError("--positions is for --refine; give both or neither.")
     estimation = computing.estimation(values.configured(None, ()))
-    result = cameras.rectify(
-        source,
-        calibration=calibration,
-        unit=unit,
-        model=model if refine else None,
-        positions=positions,
-        tones=equalise,
-        depths=values.parse_range("--depths", depths),
-        disparity_range=estimation.disparity_range,
-        backend=estimation.backend,
-        device=estimation.device,
-    )
+    for name in (POINTS_FILE, DEPTH_FILE) if points else ():
+        check_writable(out / name, folder=False)
+    with before_writing(sorted(out.glob("view_[0-9][0-9][0-9].png"))):
+        pictures: Path | LightField = source
+        if points and calibration is None and calibration_beside(source) is None:
+            pictures = read(source, allow_missing=True)
+            if pictures.geometry is None:
+                raise LightFieldError("--points needs a calibration: without one there is no metric depth.")
+        result = cameras.rectify(
+            pictures,
+            calibration=calibration,
+            unit=unit,
+            model=model if refine else None,
+            positions=positions,
+            tones=equalise,
+            depths=values.parse_range("--depths", depths),
+            disparity_range=estimation.disparity_range,
+            backend=estimation.backend,
+            device=estimation.device,
+        )
     cloud = None
     if points:
-        if result.light_field.geometry is None:
-            raise LightFieldError("--points needs a calibration: without one there is no metric depth.")
         cloud = replace(estimation, disparity_range=result.disparity_range).run(result.light_field, quiet=quiet)
     cameras.write_rectified(result, out)
     if cloud is not None:

@@ -27,7 +27,7 @@ from lfgpu.calibration.formats import Calibration
 from lfgpu.calibration.parallel import ideal_cameras
 from lfgpu.data import LightField
 from lfgpu.errors import LightFieldError
-from lfgpu.io import read_map
+from lfgpu.io import read_map, write_description
 
 
 @pytest.fixture(scope="module")
@@ -271,6 +271,32 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
     assert command("rectify", tmp_path, "-o", tmp_path / "out").code == 0
     assert not list((tmp_path / "out").glob("*.ply")) + list((tmp_path / "out").glob("*.pfm"))  # of the first map
     refused(command("rectify", tmp_path, "-o", tmp_path / "o2", "--positions"), "--positions is for --refine")
+
+
+def test_what_cannot_be_done_is_refused_before_any_work(
+    boxes: LightField, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a metric depth there are no points; an output may be a folder; a calibration may be missing."""
+    out = tmp_path / "out"
+    (out / "points.ply").mkdir(parents=True)
+    plain = tmp_path / "plain"
+    plain.mkdir()
+    for n, view in enumerate(boxes.views):
+        Image.fromarray(view).save(plain / f"view_{n // 3}_{n % 3}.png")
+        Image.fromarray(view).save(out / f"view_{n:03d}.png")
+    files = tuple(str(out / f"view_{n:03d}.png") for n in range(9))
+    write_description(replace(boxes, geometry=None, files=files), tmp_path / "lf.toml", source={})
+    new = tmp_path / "new"
+    with monkeypatch.context() as context:
+        context.setattr("lfgpu.calibration.rectify", pytest.fail)
+        refused(command("rectify", plain, "--refine", "-o", new, "--points"), "--points needs a calibration")
+    monkeypatch.setattr("lfgpu.io.views.read_view", pytest.fail)
+    refused(command("rectify", tmp_path / "lf.toml", "--refine", "-o", out), "is part of the input")
+    refused(
+        command("rectify", plain, "--refine", "-o", out, "--points"), "points.ply cannot be written: it is a folder"
+    )
+    refused(command("rectify", plain, "-o", new, "--calibration", tmp_path / "none.toml"), "none.toml does not exist")
+    refused(command("export", plain, "-o", new, "--rectify", plain), "holds no rectified.npz")
 
 
 def test_the_input_is_not_written_over(boxes: LightField, tmp_path: Path) -> None:
