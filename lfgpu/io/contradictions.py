@@ -209,11 +209,12 @@ def contradiction(light_field: LightField) -> str | None:
     near = np.argsort(np.abs(light_field.offsets).sum(1), kind="stable")[1 : 2 * _STEPS + 1]
     chosen = sorted({int(n) for n in near} | {n for axis in (0, 1) if (n := beside(light_field, axis)) is not None})
     centre = grey_of(light_field, light_field.reference_index, factor)
-    is_pair = len(light_field.views) == 2  # one that is out of line may look like one of another line
-    found = moves([Pair(centre, grey_of(light_field, n, factor), may_be_offset=is_pair) for n in chosen])
+    offsets = light_field.offsets[chosen]
+    in_line = min(np.ptp(np.vstack([offsets, np.zeros((1, 2))]), axis=0)) == 0
+    is_line = in_line or len(chosen) == 1  # views that are out of line may look like those of another line
+    found = moves([Pair(centre, grey_of(light_field, n, factor), may_be_offset=is_line) for n in chosen])
     if found is None:
         return None
-    offsets = light_field.offsets[chosen]
     once = np.hypot(*offsets.T)[:, None]  # views far away tell no more than those nearby
     vectors, offsets = found.vectors / once, offsets / once
     still = _still_line(vectors, offsets, found.shares) if found.explained > _HALF else None
@@ -225,7 +226,6 @@ def contradiction(light_field: LightField) -> str | None:
     if not found.told:
         return None
     scores = [fit(vectors, offsets @ matrix.T) for *_, matrix in _WAYS]
-    in_line = min(np.ptp(np.vstack([offsets, np.zeros((1, 2))]), axis=0)) == 0
     best = int(np.argmax(scores[::2])) * 2 if in_line else int(np.argmax(scores))
     if scores[best] > FITS and scores[0] < scores[best] - _BETTER:
         return _counted_otherwise(light_field, *_WAYS[best][:2], in_line=in_line)

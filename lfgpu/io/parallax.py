@@ -69,7 +69,8 @@ class Pair:
     def flow(self, factor: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the `_flow` between the pictures, so many times smaller."""
         if factor not in self._flows:
-            self._flows[factor] = _flow(shrunk(self.a, factor), shrunk(self.b, factor), without_mean=self.may_be_offset)
+            b = _laid_on(self.a, self.b) if self.may_be_offset else self.b
+            self._flows[factor] = _flow(shrunk(self.a, factor), shrunk(b, factor), without_mean=self.may_be_offset)
         return self._flows[factor]
 
 
@@ -101,6 +102,18 @@ def _moves(pairs: Sequence[Pair], factor: int) -> Moves:
     vectors = (left[:, 0] * values[0]).reshape(2, -1).T
     shares = (vectors**2).sum(1) / np.maximum((matrix**2).sum(1).reshape(2, -1).sum(0), 1e-12)
     return Moves(vectors, float(values[0] ** 2 / total), float(rms), shares)
+
+
+def _laid_on(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Move a picture as a whole, by the pixels with which it fits another one best; where it ends, that one is seen."""
+    spectrum_a, spectrum_b = (np.fft.rfft2(picture - picture.mean()) for picture in (a, b))
+    correlation = np.fft.irfft2(spectrum_a * spectrum_b.conj(), a.shape)
+    place = np.unravel_index(np.argmax(correlation), a.shape)
+    moved = np.roll(b, place, (0, 1))
+    for axis, (by, side) in enumerate(zip(place, a.shape, strict=True)):
+        beyond = slice(None, by) if by <= side // 2 else slice(by - side, None)
+        np.moveaxis(moved, axis, 0)[beyond] = np.moveaxis(a, axis, 0)[beyond]
+    return moved
 
 
 def _flow(

@@ -225,9 +225,13 @@ def test_a_row_that_is_out_of_line_is_not_taken_for_a_column(
 ) -> None:
     views = scenes.make(name, grid=(1, len(lower)), size=(96, 128), disparity_range=disparity_range, seed=3).views
     shifted = np.stack([view[down : 93 + down] for view, down in zip(views, lower, strict=True)])
-    found = explained(LightField(shifted, [[n, 0] for n in range(len(lower))]))
+    lf = LightField(shifted, [[n, 0] for n in range(len(lower))])
+    found = explained(lf)
     assert found.signs is None
     assert not any("taken for columns" in sentence for sentence in found.findings)
+    assert contradictions(lf) == ()
+    (taken_for_column,) = contradictions(replace(lf, positions=lf.positions[:, ::-1]))
+    assert "at right angles to the line" in taken_for_column
 
 
 def test_a_column_of_two_cameras_far_apart_is_told() -> None:
