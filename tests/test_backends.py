@@ -11,6 +11,7 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+import warp as wp
 from lfgpu.kernels.warp import threads
 
 from lfgpu import _backends, scenes
@@ -209,6 +210,12 @@ def test_a_rehearsal_loads_all_kernels_at_once_and_computes_nothing(monkeypatch:
     rehearsal._known.clear()
     rehearsal.Rehearsal(made.method, lf, place).run(made.measured)
     assert len(loads) == len(threads._loaded) > 20
+    assert all(name.startswith("lfgpu-compiling") for name in loads)
+    assert len({wp.get_module_options(module)["cpu_compiler_flags"] for module, *_ in threads._loaded}) == 1
+    loads.clear()
+    monkeypatch.setattr(threads, "_loaded", set())
+    made.estimate()  # what was not rehearsed is compiled by the same threads
+    assert loads
     assert all(name.startswith("lfgpu-compiling") for name in loads)
 
 
