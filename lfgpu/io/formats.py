@@ -382,17 +382,21 @@ def recognise(path: str | os.PathLike[str]) -> tuple[Format, str]:
 
 
 def several_in(folder: Path, chosen: Format) -> str | None:
-    """Describe a folder that holds several light fields and is taken for one of a format; else None."""
+    """Describe a folder that holds light fields of their own and is taken for one of a format; else None."""
     if not chosen.looks_below:
         return None
     if images := image_files(folder):
         if chosen.name in ANY_IMAGES and all(lenslet.recognise(image) for image in {images[0], images[-1]}):
             return _each_its_own(folder, images, "raw captures")
-        return None
+        if len(images) > 1:
+            return None
     kinds = {inside: its for inside in sub_folders(folder) if (its := kind(inside)) is not None}
-    if len(kinds) > 1 and not set(kinds.values()) <= set(ANY_IMAGES):
+    if set(kinds.values()) <= set(ANY_IMAGES):
+        return None
+    if len(kinds) > 1:
         return _each_its_own(folder, list(kinds), "light fields")
-    return None
+    path, name = kinds.popitem()
+    return f"{folder} holds one light field: give {path}, which is {name}." if chosen.name in ANY_IMAGES else None
 
 
 def _each_its_own(folder: Path, them: list[Path], what: str) -> str:

@@ -191,6 +191,14 @@ def test_a_folder_of_folders_is_several_light_fields(tmp_path: Path) -> None:
     assert len(find_items([str(tmp_path)], sequence=False)[0]) == 2
 
 
+def test_a_folder_around_a_light_field_is_no_row_of_cameras(tmp_path: Path) -> None:
+    inside = save_hci(tmp_path / "hci", range(5))
+    for _ in range(2):
+        assert refusal(lambda: read(tmp_path)) == f"{tmp_path} holds one light field: give {inside}, which is hci."
+        assert [item.source for item in find_items([str(tmp_path)], sequence=False)[0]] == [str(inside)]
+        save(tmp_path / "overview.png")
+
+
 def test_numbered_folders_of_other_scenes_are_no_rows(tmp_path: Path) -> None:
     for number, kind in enumerate(("boxes", "relief")):
         folder = tmp_path / f"{number}"
