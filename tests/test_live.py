@@ -196,6 +196,7 @@ def test_maps_are_kept_when_recording_fails(tmp_path: Path, monkeypatch: pytest.
         (["."], "holds no folders"),
         (["grabber_for_tests.py"], "is a file, but no video; give one of"),
         (["grabber_for_tests:nothing"], "yielded no frame"),
+        (["grabber_for_tests.py:nothing"], "yielded no frame"),
         (["grabber_for_tests:arrays"], "must yield a LightField first"),
         (["os:system"], "must be a function without arguments that yields frames"),
         (["../somewhere:frames"], "cannot be imported"),

@@ -21,7 +21,7 @@ def frames(source: str, _: Options) -> Frames:
     if here not in sys.path:
         sys.path.insert(0, here)
     try:
-        grabber = getattr(importlib.import_module(module_name), function_name)
+        grabber = getattr(importlib.import_module(module_name.removesuffix(".py")), function_name)
     except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise LightFieldError(f"{source} cannot be imported: {str(error).rstrip('.')}.") from error
     found = grabber() if _takes_nothing(grabber) else None
