@@ -5,7 +5,7 @@ from collections import defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from itertools import accumulate
+from itertools import accumulate, pairwise, permutations
 from pathlib import Path
 from types import MappingProxyType
 
@@ -189,6 +189,7 @@ def understood(names: Sequence[Name]) -> Naming:
         meanings[0] = (COLUMN, f"the words {first.digits[0]} and {names[-1].digits[0]} say so")
     _name_pair(names, words, meanings, varying)
     _name_rest(words, columns, meanings, varying)
+    _name_counter(columns, meanings, varying)
     return Naming(tuple(names), tuple(Number(*what, tuple(v)) for what, v in zip(meanings, columns, strict=True)))
 
 
@@ -254,6 +255,16 @@ def _name_rest(
         meanings[unknown[0]] = (COLUMN if known == {ROW} else ROW, f"the other number is the {known.pop()}")
     elif varying == {unknown[0]}:
         meanings[unknown[0]] = (CAMERA, "it is the only number that differs")
+
+
+def _name_counter(columns: Sequence[Sequence[int]], meanings: list[tuple[str, str]], varying: set[int]) -> None:
+    """Name a number without a word that goes on from line to line, so is no place in one: "0_0", "0_1", "1_2"."""
+    for line, counter in permutations([place for place in varying if meanings[place][0] in (ROW, COLUMN)], 2):
+        order = sorted(zip(columns[line], columns[counter], strict=True))
+        goes_on = all(before < after for (_, before), (_, after) in pairwise(order))
+        if goes_on and len(set(columns[line])) < len(order) and "word" not in meanings[counter][1]:
+            meanings[counter] = (CAMERA, f"it goes on from {meanings[line][0]} to {meanings[line][0]}")
+            meanings[line] = (CONSTANT, "it follows from the other")
 
 
 _DATE_AND_TIME = re.compile(

@@ -128,6 +128,13 @@ def test_patterns_say_what_numbers_count(true: LightField, tmp_path: Path) -> No
         assert "says twice where a camera stood" in asked(tmp_path, pattern=pattern)
 
 
+@pytest.mark.parametrize("name", ["{0}_{1:02d}.png", "{1:02d}_{0}.png", "row{0}/{1:03d}.png", "line {0} - {1}.png"])
+def test_numbers_that_go_on_from_row_to_row_are_no_columns(name: str, true: LightField, tmp_path: Path) -> None:
+    save_as(tmp_path, true, lambda v, u: name.format(v, 4 * v + u))
+    assert "has 12 numbered images, in one row or in a grid" in refusal(lambda: read(tmp_path))
+    np.testing.assert_array_equal(read(tmp_path, grid=(3, 4)).view(2, 1), true.view(2, 1))
+
+
 @pytest.mark.parametrize(
     ("name", "pattern"),
     [
