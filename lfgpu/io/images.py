@@ -121,6 +121,8 @@ def _decode(path: Path) -> tuple[NDArray[Any], set[str]]:
                 if isinstance(image, TiffImageFile):
                     _check_one_page(path)
                 pixels = _pixels(path, image)
+                if pixels.dtype == np.uint16 and "transparency" in image.info:
+                    pixels = _with_alpha(pixels, image.info["transparency"])
                 if inverted:
                     pixels = _inverted(pixels)
                     remarks.add(INVERTED)
@@ -153,7 +155,8 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if getattr(image, "is_animated", False) and image.format in ("WEBP", "PNG"):
         count = getattr(image, "n_frames", 0)
         raise LightFieldError(f"{path} is an animation of {count} images; a view is one image: save it as one.")
-    if image.mode in ("L", "RGB") and "transparency" in image.info:  # one value that is transparent
+    deep = "16" in _raw_mode(image)
+    if image.mode in ("L", "RGB") and "transparency" in image.info and not deep:  # one value that is transparent
         return np.asarray(image.convert(f"{image.mode}A"))
     if image.mode in ("1", "P", "PA"):
         grey = image.mode == "1"
@@ -170,6 +173,13 @@ def _pixels(path: Path, image: Image.Image) -> NDArray[Any]:
     if image.mode in ("RGB", "RGBA") and (raw := _raw_mode(image)).endswith(tuple(_OTHER_BYTE)):
         return _sixteen_bit_colour(path, image, raw)
     return np.asarray(image)
+
+
+def _with_alpha(pixels: NDArray[Any], transparent: int | tuple[int, ...]) -> NDArray[Any]:
+    """Append an alpha channel to 16-bit pixels, one value of which is transparent."""
+    pixels = pixels.reshape(*pixels.shape[:2], -1)
+    alpha = (pixels != transparent).any(axis=2, keepdims=True) * np.uint16(np.iinfo(np.uint16).max)
+    return np.concatenate([pixels, alpha], axis=2)
 
 
 def _raw_mode(image: Image.Image) -> str:

@@ -87,6 +87,19 @@ def test_16_bit_colour_png_is_read_with_all_its_bits(tmp_path: Path, channels: i
     assert (channels == 4) == bool(remarks)
 
 
+@pytest.mark.parametrize(("channels", "colour"), [(1, 0), (3, 2)])
+def test_16_bit_png_with_a_transparent_value_is_read_with_all_its_bits(
+    tmp_path: Path, channels: int, colour: int
+) -> None:
+    image = picture(1, channels, np.uint16)
+    data = png_bytes(WIDTH, HEIGHT, 16, colour, rows_of(image))
+    transparent = png_chunk(b"tRNS", image[1, 2].astype(">u2").tobytes())
+    (tmp_path / "a.png").write_bytes(data.replace(data[33:41], transparent + data[33:41]))  # before the pixels
+    found, valid, _ = read_view(tmp_path / "a.png")
+    np.testing.assert_array_equal(found, image)
+    np.testing.assert_array_equal(valid, (image != image[1, 2]).any(axis=2))
+
+
 @pytest.mark.parametrize("channels", [1, 3])
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16])
 def test_png_round_trip(tmp_path: Path, channels: int, dtype: Any) -> None:
