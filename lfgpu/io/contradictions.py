@@ -231,12 +231,12 @@ def contradiction(light_field: LightField) -> str | None:
         return _counted_otherwise(light_field, *_WAYS[best][:2], in_line=in_line)
     if max(scores) > FITS:
         return None
-    order = _order(light_field, chosen, vectors, once)
-    if order is None and (
+    fitting = _fitting(light_field, chosen, vectors, once)
+    if fitting is None and (
         max(scores) > found.explained - _MISFIT or any(_moves_as_said(light_field, axis, factor) for axis in (0, 1))
     ):
         return None
-    told = f"; --order {order} fits (order= in Python)" if order is not None and not light_field.missing else ""
+    told = f"; {fitting}" if fitting is not None and not light_field.missing else ""
     return f"By their parallax the views do not stand where they are said to stand{told}."
 
 
@@ -281,10 +281,10 @@ def _counted_otherwise(light_field: LightField, transpose: bool, flip: str, *, i
     return f"By their parallax {what}: {advice}{', or with the other axis flipped if near comes out far' * bool(flip)}."
 
 
-def _order(
+def _fitting(
     light_field: LightField, chosen: list[int], vectors: NDArray[np.float64], once: NDArray[np.float64]
 ) -> str | None:
-    """Find the order of a full grid that fits distances of cameras from the reference, divided by `once`; else None.
+    """Name the order or the grid that fits distances of cameras from the reference, divided by `once`; else None.
 
     Rows and columns without any view, such as those before a first one that is numbered 1, are not counted.
     """
@@ -292,10 +292,15 @@ def _order(
     shape = len(rows), len(columns)
     if light_field.grid_shape is None or math.prod(shape) != len(light_field.views) or min(shape) < 2:
         return None
-    scores = {}
+    index, count = row * len(columns) + column, len(row)
+    places = {}
     for order in ORDERS[1:]:
-        there = places_in(shape, order)[row * len(columns) + column]
-        positions = np.stack([columns[there[:, 1]], rows[there[:, 0]]], axis=1)
-        scores[order] = fit(vectors, (positions[chosen] - positions[light_field.reference_index]) / once)
-    best = max(scores, key=lambda order: scores[order])
+        there = places_in(shape, order)[index]
+        places[f"--order {order} fits (order= in Python)"] = np.stack([columns[there[:, 1]], rows[there[:, 0]]], axis=1)
+    for other in (n for n in range(2, count // 2 + 1) if count % n == 0 and n != len(rows)):
+        there = places_in((other, count // other), ORDERS[0])[index]
+        places[f"--grid {other}x{count // other} fits (grid= in Python)"] = there[:, ::-1]
+    here = light_field.reference_index
+    scores = {told: fit(vectors, (found[chosen] - found[here]) / once) for told, found in places.items()}
+    best = max(scores, key=lambda told: scores[told])
     return best if scores[best] > FITS else None

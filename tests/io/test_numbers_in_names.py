@@ -211,6 +211,14 @@ def test_two_digits_without_gaps_are_no_rows_and_columns(true: LightField, tmp_p
     assert read(tmp_path, grid=(3, 4)).grid_shape == (3, 4)
 
 
+def test_a_grid_that_the_pictures_contradict_is_named(true: LightField, tmp_path: Path) -> None:
+    save_as(tmp_path, true, lambda v, u: f"im_{4 * v + u:02d}.png")
+    assert read(tmp_path, grid=(4, 3)).notes == (
+        "By their parallax the views do not stand where they are said to stand; --grid 3x4 fits (grid= in Python).",
+    )
+    assert read(tmp_path, grid=(3, 4)).notes == ()
+
+
 def test_a_grid_is_compared_with_the_views_that_are_there(true: LightField, tmp_path: Path) -> None:
     save_as(tmp_path, true, lambda v, u: f"img{10 * v + u:03d}.png")
     text = asked(tmp_path, grid=(3, 4), allow_missing=True)
