@@ -198,6 +198,28 @@ def test_what_is_measured_again_needs_no_memory(config: Any, monkeypatch: pytest
     pipeline.take(replace(fields[3]))
 
 
+def test_a_pipeline_takes_no_light_field_of_another_kind() -> None:
+    """Whose first views it would take for those of its own cameras."""
+    lf = a_scene(0)
+    more = replace(scenes.make("relief", grid=(5, 5), size=(48, 56)), truth=None)
+    stretched = replace(lf, positions=lf.positions * 2, grid_shape=None)
+    pipeline = DepthPipeline(lf, config="fast", device="cpu", disparity_range=GIVEN)
+    want = pipeline.estimate().disparity
+    for other in (more, stretched, lf.with_reference(0), a_scene(0, masked=True), lf.crop(slice(40), slice(40))):
+        with pytest.raises(LightFieldError, match=r"another kind.*make a pipeline for it\.$"):
+            pipeline.take(other, disparity_range=GIVEN)
+    with pytest.raises(LightFieldError, match="lf must be a LightField"):
+        pipeline.take(lf.views)  # type: ignore[arg-type]
+    pipeline.upload(lf.views)
+    pipeline.run()
+    np.testing.assert_array_equal(pipeline.disparity(), want)
+    masked = a_scene(0, masked=True)
+    of_masked = DepthPipeline(masked, config="fast", device="cpu", disparity_range=GIVEN)
+    of_masked.take(a_scene(1, masked=True), disparity_range=GIVEN)
+    with pytest.raises(LightFieldError, match="masks"):
+        of_masked.take(replace(masked, valid=~masked.valid), disparity_range=GIVEN)
+
+
 def test_light_fields_of_other_kinds_have_pipelines_of_their_own() -> None:
     first = a_scene(0)
     kinds = [

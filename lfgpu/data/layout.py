@@ -51,6 +51,15 @@ class ViewLayout:
         """The largest distance of a view from the reference view, along u or v, in view steps."""
         return farthest(self.offsets)
 
+    def is_like(self, other: Self) -> bool:
+        """Compare with another layout: equal cameras, reference view, size, stored type, scale and masks."""
+        kind, of_other = ((one.shape, one.reference, one.dtype, one.scale) for one in (self, other))
+        if kind != of_other or not np.array_equal(self.offsets, other.offsets):
+            return False
+        if self.masks is None or other.masks is None:
+            return self.masks is other.masks
+        return all(map(np.array_equal, self.masks, other.masks))
+
     def row(self) -> NDArray[np.intp]:
         """Indices of the views in the reference view's row (same v within 0.1 view steps), from left to right."""
         return self._line(axis=0)

@@ -117,7 +117,8 @@ class DepthPipeline:
         self._begin(lf, is_found=measured is None and disparity_range is None)
         used = self.method.used_views(lf.offsets)  # no others go to the device
         self._used = used if len(used) < len(lf.views) else None
-        self._layout = lf.layout if self._used is None else lf.layout.subset(used)
+        self._kind = lf.layout
+        self._layout = self._kind if self._used is None else self._kind.subset(used)
         with self._device.asking():
             with self._timed("compile"):
                 if measured is None:
@@ -146,8 +147,15 @@ class DepthPipeline:
         Raises
         ------
         LightFieldError
-            If the range is wrong or none is found. Then the pipeline goes on when it takes a light field that has one.
+            If it is of another kind; then the pipeline keeps the one before. If the range is wrong or none is found;
+            then the pipeline goes on when it takes a light field that has one.
         """
+        check_light_field(lf)
+        if not lf.layout.is_like(self._kind):
+            raise LightFieldError(
+                f"{lf.name} is of another kind than the light field of the pipeline: other cameras, reference view, "
+                "size, stored type or masks; make a pipeline for it."
+            )
         self._begin(lf, is_found=measured is None and disparity_range is None)
         self._timings["compile"] = 0.0
         with self._timed("measure"), self._device.asking():
