@@ -195,3 +195,12 @@ def test_what_is_no_result_cannot_be_judged() -> None:
             use(np.zeros((40, 48)))  # type: ignore[operator]
     with pytest.raises(lfgpu.LightFieldError, match="lf must be a LightField, found NoneType"):
         lfgpu.judged(None, None)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("wrong", [(2, -2), (float("nan"), 1), 5, "x", (-(10**400), 1)], ids=str)
+def test_a_map_is_not_judged_by_a_range_that_is_none(wrong: object) -> None:
+    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    result = lfgpu.estimate_depth(lf, config="fast", disparity_range=("-2", "2"), check_cameras=False)  # type: ignore[arg-type]
+    assert result.disparity_range == (-2.0, 2.0)
+    with pytest.raises(lfgpu.LightFieldError, match="disparity range must be two finite numbers"):
+        lfgpu.judged(lf, result, disparity_range=wrong)  # type: ignore[arg-type]

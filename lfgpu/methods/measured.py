@@ -30,7 +30,7 @@ def checked_range(disparity_range: tuple[float, float], layout: ViewLayout) -> t
     """Convert a range that the user gave to two numbers; raise LightFieldError if this light field cannot have it."""
     try:
         low, high = (float(bound) for bound in disparity_range)
-    except (TypeError, ValueError):
+    except (OverflowError, TypeError, ValueError):
         low = high = np.nan
     if not (np.isfinite(low) and np.isfinite(high) and low < high):
         raise LightFieldError(

@@ -32,6 +32,7 @@ from lfgpu.io.brightness import ask_for_white
 from lfgpu.io.contradictions import no_parallax
 from lfgpu.methods import method_of
 from lfgpu.methods.disparity_range import find_disparity_range
+from lfgpu.methods.measured import checked_range
 
 MANY = 0.01
 """Share of the pixels at one end of a range from which on surfaces may lie beyond it."""
@@ -120,7 +121,7 @@ def judged(
     Raises
     ------
     LightFieldError
-        If the map has another size, or belongs to another view.
+        If the map has another size, or belongs to another view, or the range is wrong.
     BackendError
         If the backend or the device is missing.
 
@@ -196,6 +197,7 @@ def _on_range(lf: LightField, given: tuple[float, float] | None, device: Device)
     """
     if given is None:
         return Verdict()
+    given = checked_range(given, lf.layout)
     try:
         low, high = find_disparity_range(lf, device)
     except LightFieldError:
