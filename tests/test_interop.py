@@ -133,6 +133,10 @@ WRONG = [
         lambda views: Elsewhere(views, (10, 0)),
         "views are neither on a CPU nor on a CUDA GPU (DLPack device type 10); copy them to the CPU first.",
     ),
+    (
+        lambda views: np.ma.masked_less(views, 100),
+        "views are masked here and there, but only a LightField takes masks; fill them first.",
+    ),
     (lambda views: Elsewhere(views, (1, 0)), "views cannot be read (no way out); convert them to NumPy first."),
 ]
 

@@ -52,6 +52,7 @@ def test_bad_frames_fail_alone() -> None:
         (views[:, :8], None, r"uint8 \[15, 8, 44, 3\]"),
         (views.astype(np.float32), None, "found float32"),
         ("a picture", None, "must be an array"),
+        (np.ma.masked_less(views, 100), None, "only a LightField takes masks"),
         (views, there[:3], r"valid must be bool \[15\]"),
         (views, no_reference, "reference view .* missing"),
         (views, lonely, "only the reference view"),

@@ -15,6 +15,8 @@ _HOST, _CUDA = (1, 3), (2, 13)  # device types of DLPack: CPU memory, pageable o
 
 def place_of(name: str, values: Any) -> str:
     """Find the device of an array called `name`: "cpu", "cuda:0" and so on, or `SOME_GPU`; others are refused."""
+    if isinstance(values, np.ma.MaskedArray) and np.ma.is_masked(values):
+        raise LightFieldError(f"{name} are masked here and there, but only a LightField takes masks; fill them first.")
     if isinstance(values, np.ndarray):
         return "cpu"
     if hasattr(values, "__dlpack_device__"):

@@ -194,7 +194,8 @@ class DepthPipeline:
         Raises
         ------
         LightFieldError
-            If the shape, type or device is not that of the pipeline, or if a value is NaN, infinite or far from [0, 1].
+            If the shape, type or device is not that of the pipeline, or if a value is NaN, infinite, far from [0, 1] or
+            masked by NumPy.
 
         Notes
         -----
