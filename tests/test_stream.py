@@ -160,6 +160,25 @@ def test_before_there_is_a_frame() -> None:
         np.testing.assert_array_equal(stream.push(lf.views).numpy(), want)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "sentence"),
+    [
+        ({"size": (48,)}, r"size must be \(height, width\), whole numbers from 1 on, not \(48,\)"),
+        ({"size": (48, -1)}, "size must be"),
+        ({"size": "48x56"}, "size must be"),
+        ({"channels": -1}, "channels must be"),
+        ({"noise": -1}, "noise must be a number from 0 to 1, not -1"),
+        ({"noise": "0.1"}, "noise must be"),
+        ({"positions": 3}, "views must be"),
+        ({"positions": "x"}, "positions must be an array of numbers"),
+    ],
+)
+def test_cameras_that_are_none(wrong: dict[str, Any], sentence: str) -> None:
+    given = {"positions": [[0, 0], [1, 0]], "size": (48, 56), "disparity_range": RANGE, "config": "fast"} | wrong
+    with pytest.raises(lfgpu.LightFieldError, match=sentence):
+        lfgpu.DepthStream.for_cameras(**given)
+
+
 # --- results ---
 
 

@@ -62,6 +62,14 @@ def check_whole(name: str, value: Any, least: int, most: float = math.inf) -> No
         raise LightFieldError(f"{name} must be a whole number {bounds}, not {value!r:.60}.")
 
 
+def checked_sides(name: str, values: Any, meaning: str, *, least: int, most: int) -> tuple[int, ...]:
+    """Return from `least` to `most` whole numbers from 1 on; raise LightFieldError with their `meaning` for others."""
+    sides = tuple(values) if isinstance(values, tuple | list) else ()
+    if not least <= len(sides) <= most or not all(isinstance(side, Integral) and int(side) > 0 for side in sides):
+        raise LightFieldError(f"{name} must be {meaning}, whole numbers from 1 on, not {values!r:.60}.")
+    return tuple(map(int, sides))
+
+
 def texts(name: str, values: Any) -> tuple[str, ...]:
     """Return a sequence of texts as a tuple; raise LightFieldError if it is none, or a single text."""
     if isinstance(values, str) or not isinstance(values, Iterable):
@@ -153,9 +161,7 @@ def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
 
 def check_grid(positions: NDArray[np.float64], grid_shape: tuple[int, int]) -> None:
     """Raise LightFieldError if positions [n, 2] are not places of a grid of (rows, columns)."""
-    sides = tuple(grid_shape) if isinstance(grid_shape, tuple | list) else ()
-    if len(sides) != 2 or not all(isinstance(side, Integral) and side > 0 for side in sides):
-        raise LightFieldError(f"grid_shape must be (rows, columns), whole numbers from 1 on, not {grid_shape!r:.60}.")
+    checked_sides("grid_shape", grid_shape, "(rows, columns)", least=2, most=2)
     places = np.round(positions)
     last = (grid_shape[1] - 1, grid_shape[0] - 1)
     if np.abs(positions - places).max() > POSITION_TOLERANCE or (places < 0).any() or (places > last).any():

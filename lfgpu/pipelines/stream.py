@@ -16,7 +16,7 @@ from lfgpu._backends import DEFAULT, load, open_device
 from lfgpu.config import Config
 from lfgpu.contract import Float64Array
 from lfgpu.data import LightField, check_light_field
-from lfgpu.data.light_field_checks import check_number, check_positive
+from lfgpu.data.light_field_checks import array_of_numbers, check_number, check_positive, check_whole, checked_sides
 from lfgpu.errors import BackendError, LfgpuError, LightFieldError
 from lfgpu.methods import configured, method_of
 from lfgpu.methods.measured import Measured
@@ -207,8 +207,11 @@ class DepthStream(StreamWork):
         config, weights, disparity_range, options
             As for `DepthStream`.
         """
-        places = np.asarray(positions, np.float64)
-        views = np.zeros((len(places), *size, channels), dtype)
+        places = array_of_numbers("positions", positions, np.float64)
+        sides = checked_sides("size", size, "(height, width)", least=2, most=2)
+        check_whole("channels", channels, 1)
+        check_number("noise", noise, 0, 1)
+        views = np.zeros((len(places) if places.ndim else 0, *sides, channels), dtype)
         lf = LightField(views, places, reference=reference)
         config = live_config(config, weights)
         measured = method_of(config).given(lf.layout, disparity_range, noise)
