@@ -151,6 +151,17 @@ def test_cameras_stand_in_steps_of_their_own() -> None:
     assert np.allclose(2 * np.array(find_disparity_range(halved, device)), find_disparity_range(lf, device))
 
 
+def test_views_beside_each_other_are_no_column() -> None:
+    """Within the 0.1 view steps of a line, but without any distance along it."""
+    lf = relief(grid=(1, 3))
+    beside = replace(lf, positions=np.array([[-0.05, 0.0], [0.0, 0.0], [1.0, 0.0]]), grid_shape=None, truth=None)
+    assert len(beside.column()) == 2
+    estimator = LocalEstimator(beside.layout, RANGE, LocalConfig(), Device(WARP, "cpu"))
+    assert set(estimator.by_line) == {"row"}
+    apart = replace(beside.subset([0, 1]), positions=np.array([[0.0, 0.0], [0.0, 0.05]]))
+    assert set(LocalEstimator(apart.layout, RANGE, LocalConfig(), Device(WARP, "cpu")).by_line) == {"column"}
+
+
 PRIOR = PriorConfig(window=5, sigma_color=0.3, sigma_gradient=0.3)
 
 

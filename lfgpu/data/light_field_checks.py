@@ -17,7 +17,9 @@ from lfgpu.errors import LightFieldError
 POSITION_TOLERANCE = 1e-6
 """View steps: positions that differ by less are equal."""
 
-_NEAREST = 1e-3  # in view steps, to which views must stand apart
+NEAREST = 1e-3
+"""View steps: views must stand farther apart, as what is nearer to the reference tells nothing of depth."""
+
 _FLOAT_RANGE = -0.5, 1.5  # of values on [0, 1]: resampling may overshoot a little; other units differ by much more
 
 
@@ -138,7 +140,7 @@ def check_distinct(positions: NDArray[np.float64]) -> None:
         u, v = unique[counts > 1][0] * POSITION_TOLERANCE
         raise LightFieldError(f"two views have the position row {v:g}, column {u:g}; all positions must differ.")
     distance, at = _nearest(positions)
-    if distance <= _NEAREST:  # what is nearer than that to the reference tells nothing of depth
+    if distance <= NEAREST:
         raise LightFieldError(
             f"two views stand {distance:g} view steps apart, near row {positions[at, 1]:g}, column "
             f"{positions[at, 0]:g}; positions are in units of the distance of neighbours."
@@ -147,12 +149,12 @@ def check_distinct(positions: NDArray[np.float64]) -> None:
 
 def _nearest(positions: NDArray[np.float64]) -> tuple[float, int]:
     """Find the smallest distance of two positions, and the index of one of them; any larger distance unless it is below
-    `_NEAREST`."""
+    `NEAREST`."""
     order = np.lexsort(positions.T[::-1])
     ordered, found = positions[order], (np.inf, 0)
     for k in range(1, len(ordered)):  # each with the one k places on, until all of these are too far away in u alone
         apart = ordered[k:] - ordered[:-k]
-        if apart[:, 0].min() > _NEAREST:
+        if apart[:, 0].min() > NEAREST:
             break
         distance = np.hypot(*apart.T)
         found = min(found, (float(distance.min()), int(order[distance.argmin()])))

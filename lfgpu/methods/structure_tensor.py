@@ -6,6 +6,7 @@ from scipy.ndimage import minimum_filter1d
 
 from lfgpu.contract import Array, Device, Float64Array, StructureFilters
 from lfgpu.data.layout import ViewLayout
+from lfgpu.data.light_field_checks import NEAREST
 from lfgpu.errors import LightFieldError
 from lfgpu.methods.sections import LocalConfig
 
@@ -30,17 +31,15 @@ class LocalEstimator:
         device: Device,
     ) -> None:
         kernels = device.kernels
-        if max(len(layout.row()), len(layout.column())) < 2:
+        found = {False: layout.row(), True: layout.column()}
+        lines = [vertical for vertical, line in found.items() if np.ptp(layout.offsets[line, int(vertical)]) > NEAREST]
+        if not lines:
             raise LightFieldError(
                 f"{layout.name}: the local estimate needs a second view in the row or the column of the reference view "
                 "(within 0.1 view steps), but there is none; choose another reference view, or add views."
             )
         self._kernels, self._threshold = kernels, config.coherence_threshold
-        self._lines = [
-            _Line(layout, vertical, disparity_range, config, device)
-            for vertical in (False, True)
-            if len(layout.column() if vertical else layout.row()) > 1
-        ]
+        self._lines = [_Line(layout, vertical, disparity_range, config, device) for vertical in lines]
         self.disparity, self.coherence = device.zeros(layout.size), device.zeros(layout.size)
         """Fields [y, x]: the disparity, pixels per view step, and its coherence, 0 (undefined) to 1."""
         self.by_line = {line.name: (device.zeros(layout.size), device.zeros(layout.size)) for line in self._lines}
