@@ -88,6 +88,19 @@ def test_points_of_any_view_are_those_that_it_shows(position: tuple[float, float
         np.testing.assert_allclose(projected(UNEVEN, points[row, column], camera), [column, row], atol=1e-12)
 
 
+def test_what_is_masked_has_no_depth_and_what_is_no_number_is_refused() -> None:
+    cameras = Geometry(500.0, 0.02, 4.0)
+    np.testing.assert_array_equal(cameras.depth(np.ma.masked_equal([0.0, 2.5], 2.5)), [4.0, np.nan])
+    np.testing.assert_array_equal(cameras.disparity(np.ma.masked_equal([4.0, 2.0], 2.0)), [0.0, np.nan])
+    assert np.isnan(cameras.points(np.ma.masked_equal([[0.0, 2.5]], 2.5))[0, 1]).all()
+    for use in (cameras.depth, cameras.disparity, cameras.points, cameras.positions, cameras.centres):
+        with pytest.raises(LightFieldError, match="must be an array of numbers"):
+            use("far")
+    for step in (0, -1, 1.5):
+        with pytest.raises(LightFieldError, match="step must be a whole number of at least 1"):
+            cameras.points(np.zeros((4, 4)), step=step)  # type: ignore[arg-type]
+
+
 def test_what_has_no_depth_is_no_point() -> None:
     points = GEOMETRY.points([[np.nan, -5.0, -9.0, 1.0]])  # the horizon has the disparity -5
     np.testing.assert_array_equal(np.isnan(points).all(2), [[True, True, True, False]])

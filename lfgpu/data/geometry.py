@@ -8,6 +8,7 @@ from numbers import Real
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from lfgpu.data.light_field_checks import array_of_numbers, check_whole
 from lfgpu.errors import LightFieldError
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
@@ -82,14 +83,14 @@ class Geometry:
 
     def depth(self, disparity: ArrayLike) -> NDArray[np.float64]:
         """Depth in metres of a disparity in pixels per view step; infinity at or beyond the horizon, NaN for NaN."""
-        inverse = np.asarray(disparity, np.float64) / (self.baseline_m * self.focal_length_px)
+        inverse = array_of_numbers("disparity", disparity, np.float64) / (self.baseline_m * self.focal_length_px)
         inverse = inverse + 1.0 / self.focus_distance_m
         with np.errstate(divide="ignore"):
             return np.asarray(np.where(inverse <= 0, np.inf, 1.0 / np.maximum(inverse, 0.0)))
 
     def disparity(self, depth_m: ArrayLike) -> NDArray[np.float64]:
         """Disparity in pixels per view step of a depth in metres; the inverse of `depth`."""
-        inverse = 1.0 / np.asarray(depth_m, np.float64) - 1.0 / self.focus_distance_m
+        inverse = 1.0 / array_of_numbers("depth_m", depth_m, np.float64) - 1.0 / self.focus_distance_m
         return np.asarray(self.baseline_m * self.focal_length_px * inverse)
 
     def positions(self, centres_m: ArrayLike) -> NDArray[np.float64]:
@@ -126,7 +127,8 @@ class Geometry:
         With (u, v) counted from that camera, the column of a pixel is x = cx + f X / Z - d u, because the frame of a
         camera u steps to the right is shifted by u b f / F.
         """
-        values = np.asarray(disparity, np.float64)
+        values = array_of_numbers("disparity", disparity, np.float64)
+        check_whole("step", step, 1)
         if values.ndim != 2:
             raise LightFieldError(f"geometry: a disparity map must be [y, x]; found shape {values.shape}.")
         height, width = values.shape
@@ -163,7 +165,7 @@ def usual_gap(places: NDArray[np.float64]) -> float:
 
 
 def _pairs(name: str, values: ArrayLike) -> NDArray[np.float64]:
-    pairs = np.asarray(values, np.float64)
+    pairs = array_of_numbers(name, values, np.float64)
     if pairs.ndim != 2 or pairs.shape[1] != 2:
         raise LightFieldError(f"geometry: {name} must be [n, 2]; found shape {pairs.shape}.")
     return pairs
