@@ -75,6 +75,24 @@ def test_the_text_of_a_map_counts_what_is_unknown() -> None:
     assert "unknown everywhere" in repr(DisparityMap(np.full(SIZE, np.nan, np.float32)))
 
 
+def test_a_map_is_made_of_any_numbers_and_of_nothing_else(tmp_path: Path) -> None:
+    made = DisparityMap([[1, 2], [3, 4]], np.ma.masked_equal([[0.5, 0.5], [0.5, 0.0]], 0.0))  # type: ignore[arg-type]
+    assert made.disparity.dtype == made.confidence.dtype == np.float32
+    assert "2 x 2 px" in repr(made)
+    made.save(tmp_path / "map.png")
+    hidden = DisparityMap(np.ma.masked_equal([[1.0, 9.0]], 9.0))  # what is masked is unknown
+    np.testing.assert_array_equal(hidden.disparity, [[1, np.nan]])
+    for wrong, sentence in (
+        ((np.zeros(3),), r"disparity must be \[y, x\], found shape \(3,\)"),
+        ((None,), "disparity must be"),
+        (("x",), "disparity must be an array of numbers"),
+        ((np.zeros((2, 3), complex),), "disparity must be an array of numbers"),
+        ((np.zeros((2, 3)), np.zeros((3, 2))), r"confidence must be \(2, 3\), as the disparity is, found"),
+    ):
+        with pytest.raises(lfgpu.LightFieldError, match=sentence):
+            DisparityMap(*wrong)  # type: ignore[arg-type]
+
+
 def test_the_text_of_a_viewer() -> None:
     pytest.importorskip("viser")
     lf = a_light_field()

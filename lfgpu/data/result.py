@@ -13,6 +13,7 @@ from lfgpu.config import Config
 from lfgpu.contract import Float32Array
 from lfgpu.data import summary
 from lfgpu.data.geometry import Geometry
+from lfgpu.data.light_field_checks import array_of_numbers
 from lfgpu.errors import LightFieldError
 
 
@@ -163,6 +164,11 @@ class DisparityMap(summary.InNotebooks):
         Versions of the packages that computed it.
     uncertainty
         float32 [y, x], as in `DepthResult`; None if unknown.
+
+    Raises
+    ------
+    LightFieldError
+        If a map is no array of numbers [y, x], or they differ in shape.
     """
 
     disparity: Float32Array
@@ -172,6 +178,16 @@ class DisparityMap(summary.InNotebooks):
     name: str = "light field"
     versions: dict[str, str] = field(default_factory=dict)
     uncertainty: Float32Array | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("disparity", "confidence", "uncertainty"):
+            if (given := getattr(self, name)) is None and name != "disparity":
+                continue
+            values = array_of_numbers(name, given, np.float32)
+            object.__setattr__(self, name, values)
+            if values.ndim != 2 or values.shape != self.disparity.shape:
+                shape = "[y, x]" if name == "disparity" else f"{self.disparity.shape}, as the disparity is"
+                raise LightFieldError(f"{name} must be {shape}, found shape {values.shape}.")
 
     def __repr__(self) -> str:
         return f"<DisparityMap {_map_lines(self)}>"

@@ -120,7 +120,7 @@ def test_the_command_and_what_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LightFieldError, match="has no geometry"):
         export_scene(replace(lf, geometry=None), true_map(), tmp_path / "none")
     with pytest.raises(LightFieldError, match="the map must be 48 x 60"):
-        export_scene(lf, replace(true_map(), disparity=true_map().disparity[:9]), tmp_path / "none")
+        export_scene(lf, DisparityMap(true_map().disparity[:9]), tmp_path / "none")
     assert not (tmp_path / "none").exists()
 
 
