@@ -12,7 +12,7 @@ SHAPE = (4, 5, 3)
 
 
 def grouper(cameras: int = 3, **options: object) -> lfgpu.FrameGrouper:
-    return lfgpu.FrameGrouper(cameras, SHAPE, **{"tolerance": 0.004, **options})  # type: ignore[arg-type]
+    return lfgpu.FrameGrouper(cameras, **{"shape": SHAPE, "tolerance": 0.004, **options})  # type: ignore[arg-type]
 
 
 def picture(value: int) -> np.ndarray:
@@ -107,15 +107,20 @@ def test_wrong_numbers_and_pictures_are_refused() -> None:
         ("tolerance", None, "tolerance must be a number of seconds"),
         ("waiting", 0, "waiting must be a whole number"),
         ("cameras", "two", "cameras must be a whole number"),
+        ("shape", (4,), r"shape must be \(height, width, channels\) or \(height, width\), whole"),
+        ("shape", (0, 5, 3), "shape must be"),
+        ("shape", "4x5", "shape must be"),
     ):
         with pytest.raises(LightFieldError, match=words):
             grouper(**{name: value})
     g = grouper()
-    with pytest.raises(LightFieldError, match="camera must be from 0 to 2"):
-        g.add(3, picture(0), 0.0)
+    for camera in (3, -1, 1.0, "left"):
+        with pytest.raises(LightFieldError, match="camera must be a whole number from 0 to 2"):
+            g.add(camera, picture(0), 0.0)  # type: ignore[arg-type]
     with pytest.raises(LightFieldError, match=r"must be \[4, 5, 3\]"):
         g.add(0, picture(0)[:2], 0.0)
     with pytest.raises(LightFieldError, match="must be uint8"):
         g.add(0, picture(0).astype(np.float32), 0.0)
-    with pytest.raises(LightFieldError, match="stamp"):
-        g.add(0, picture(0), float("nan"))
+    for stamp in (float("nan"), "now", None):
+        with pytest.raises(LightFieldError, match="the stamp of camera 0 must be a number of seconds, not"):
+            g.add(0, picture(0), stamp)  # type: ignore[arg-type]

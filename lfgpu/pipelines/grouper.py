@@ -7,13 +7,14 @@ import threading
 from collections import deque
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 from lfgpu.contract import Float64Array
-from lfgpu.data.light_field_checks import check_positive, check_whole
+from lfgpu.data.light_field_checks import check_positive, check_whole, checked_sides
 from lfgpu.errors import LightFieldError
 
 _OPEN = 8  # groups that are being filled at once: an older one is given out as it is
@@ -106,7 +107,8 @@ class FrameGrouper:
         check_whole("waiting", waiting, 1)
         if patience < tolerance:
             raise LightFieldError(f"patience must be at least the tolerance, {tolerance} s, not {patience} s.")
-        self._count, self._shape, self._dtype = cameras, tuple(shape), np.dtype(dtype)
+        self._shape = checked_sides("shape", shape, "(height, width, channels) or (height, width)", least=2, most=3)
+        self._count, self._dtype = cameras, np.dtype(dtype)
         self._tolerance, self._patience = tolerance, patience
         self._changed = threading.Condition()
         self._open: deque[_Open] = deque()
@@ -140,16 +142,15 @@ class FrameGrouper:
             If the camera, the shape or type, or the stamp is wrong.
         """
         values = np.asarray(picture)
-        if not 0 <= camera < self._count:
-            raise LightFieldError(f"camera must be from 0 to {self._count - 1}, not {camera}.")
+        check_whole("camera", camera, 0, self._count - 1)
         if values.size != math.prod(self._shape) or values.shape not in (self._shape, self._shape[:2]):
             raise LightFieldError(
                 f"the picture of camera {camera} must be {list(self._shape)}; found {list(values.shape)}."
             )
         if values.dtype != self._dtype:
             raise LightFieldError(f"the picture of camera {camera} must be {self._dtype}; found {values.dtype}.")
-        if not math.isfinite(stamp):
-            raise LightFieldError(f"the stamp of camera {camera} must be a number of seconds, not {stamp}.")
+        if not isinstance(stamp, Real) or not math.isfinite(stamp):
+            raise LightFieldError(f"the stamp of camera {camera} must be a number of seconds, not {stamp!r:.60}.")
         with self._changed:
             chosen = self._group_for(camera, stamp)
             if chosen is None:
