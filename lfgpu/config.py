@@ -34,7 +34,7 @@ class Section:
         for f in dataclasses.fields(self):
             value, meta = getattr(self, f.name), f.metadata
             if "choices" in meta:
-                if value not in meta["choices"]:
+                if not isinstance(value, str) or value not in meta["choices"]:
                     raise LightFieldError(f"{f.name} must be one of {', '.join(meta['choices'])}, not {value!r}.")
             elif isinstance(value, bool) or not isinstance(value, Real):
                 raise LightFieldError(f"{f.name} must be a number, not {value!r}.")
@@ -119,10 +119,12 @@ class Config:
         LightFieldError
             If a value is out of range, or the method has no parameter of that name.
         """
+        if not isinstance(values, Mapping):
+            raise LightFieldError(f"values must be a dictionary of parameters by name, not {values!r:.60}.")
         config, there = self, dict(parameters(self))
         for name, value in values.items():
             if name not in there:
-                raise LightFieldError(self._unknown(name))
+                raise LightFieldError(self._unknown(str(name)))
             if isinstance(value, str) and "choices" not in there[name].metadata:
                 try:
                     value = float(value)

@@ -126,6 +126,17 @@ def test_numbers_of_numpy_become_those_that_files_hold() -> None:
     assert type(value_of(config, "alignment.iterations")) is int
 
 
+@pytest.mark.parametrize("values", [None, 5, "prior.window", [("prior.window", 11)]], ids=str)
+def test_values_that_are_no_dictionary_are_refused(values: Any) -> None:
+    assert refusal(values, MatchingConfig()).startswith("values must be a dictionary of parameters by name, not ")
+
+
+def test_names_and_choices_of_other_types_are_refused() -> None:
+    assert refusal({5: 7}, MatchingConfig()).startswith("unknown parameter '5'")  # type: ignore[dict-item]
+    for value in (np.array(["full"]), np.array(["full", "star"]), ["full"], None):
+        assert refusal({"sweep.views": value}).startswith("sweep.views must be one of full, ")
+
+
 UNKNOWN = ["window", "prior.", "prior.windows", "priors.window", "", "prior.window.x", "local", "with_values.window"]
 
 
