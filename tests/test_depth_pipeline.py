@@ -1,5 +1,6 @@
 """One pipeline for many light fields of one kind: each map is that of a pipeline made for those views alone."""
 
+import re
 from functools import cache
 from typing import Any
 
@@ -204,6 +205,23 @@ def test_views_without_texture_have_no_map_and_leave_no_trace(target: Any) -> No
         with pytest.raises(LightFieldError, match=r"relief: no pixel has a coherent estimate .*\.$"):
             pipeline.disparity()
     assert_same(ran(pipeline, lf.views), want, target)
+
+
+@pytest.mark.parametrize("config", ["accurate", "surest"])
+def test_views_that_show_nothing_have_no_map_in_pipelines_and_streams(config: Any) -> None:
+    lf = scene()
+    blank, sentence = np.full_like(lf.views, 128), "no pixel (shows anything|matches)"
+    pipeline = lfgpu.DepthPipeline(lf, config=config, disparity_range=(-2, 2), device="cpu")
+    pipeline.upload(blank)
+    pipeline.run()
+    for read in (pipeline.disparity, pipeline.result, pipeline.estimate):
+        with pytest.raises(LightFieldError, match=sentence):
+            read()
+    with lfgpu.DepthStream(lf, config=config, disparity_range=(-2, 2), device="cpu") as stream:
+        for views in (lf.views, blank):  # the first map is no reason for a second one
+            result = stream.push(views)
+            assert result.wait()
+        assert re.search(sentence, str(result.error))
 
 
 def test_pipeline_refuses_what_estimate_depth_refuses() -> None:

@@ -37,8 +37,6 @@ class Alignment:
             self._first = _Step(frame, frame.compared_layout)
         self.moves = [arena.device.scalar(0.0) for _ in range(config.alignment.iterations)]
         """Sums over the squares of each step."""
-        self.trust = arena.device.scalar(0.0)
-        """The amount of texture; 0 if there was none."""
         self.curvature = arena.field("curvature", frame.size)
         """The curvature of the views' differences at the map [y, x] of the last step."""
         with arena.scratch() as scratch:
@@ -52,12 +50,20 @@ class Alignment:
             self._first.align.load(self._frame.image, *self._frame.thinned)
 
     def run(
-        self, matched: Array, variance: Array | None, map_out: Array, steps: int, callback: Callback | None
+        self,
+        matched: Array,
+        variance: Array | None,
+        map_out: Array,
+        steps: int,
+        callback: Callback | None,
+        *,
+        trust_out: Scalar | None,
     ) -> None:
         """Align a matched map [y, x] by so many steps.
 
         With its `variance` [y, x] it counts beside the views: each pixel goes to where both together are likeliest, and
-        then back by most of its way if it has moved farther than the map's deviation.
+        then back by most of its way if it has moved farther than the map's deviation. `trust_out`, if any, is the
+        amount of texture; 0 if there was none.
         """
         if variance is not None:
             self._weigh_matched(variance)
@@ -91,8 +97,9 @@ class Alignment:
                 self._fit_planes(map_out, support)
             if callback is not None:
                 callback(iteration, self._size_of(moved))
-        kernels.axpby(1.0, self._certainty, -tuning.still, self._prior.ones, workspace)
-        kernels.dot(workspace, self._prior.ones, self.trust)
+        if trust_out is not None:
+            kernels.axpby(1.0, self._certainty, -tuning.still, self._prior.ones, workspace)
+            kernels.dot(workspace, self._prior.ones, trust_out)
 
     def solution(self, noise: float) -> Solution:
         """Report the outcome; the trace is the root mean square of each step, pixels per view step.

@@ -155,7 +155,7 @@ class SecondMap:
         assert isinstance(network, Learned)
         self._sweeps.find(self._second, None, self._matched)
         completion.restore_prior()
-        alignment.run(self._matched, network.variance, self.map, self._steps, None)
+        alignment.run(self._matched, network.variance, self.map, self._steps, None, trust_out=None)
         completion.fill(self.map, alignment.curvature)
         self._sweeps.judge(self._sweeps.last, self.first, unhidden, confidence_out)
         own = [self.first, confidence_out, self._sweeps.judging.variance]

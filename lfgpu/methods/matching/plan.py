@@ -46,7 +46,7 @@ class MatchingPlan:
         self._kernels, deviation = device.kernels, smoothing_deviation(measured.grain, config.sweep)
         self._frame = frame = Frame(arena, chosen, bounds, config, deviation=deviation, masked=self.is_live)
         self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
-        self.trust = self._alignment.trust
+        self.trust = device.scalar(0.0)
         """A number on the device: 0 if the last run found no estimate."""
         are_two = self._sweeps.second is not None
         # A CPU computes the weights of like pixels again for the second map: they are quickly found, and large.
@@ -126,7 +126,7 @@ class MatchingPlan:
 
     def _align(self, callback: Callback | None) -> None:
         variance = self._sweeps.last.aggregation.variance
-        self._alignment.run(self._matched, variance, self._aligned, self._steps, callback)
+        self._alignment.run(self._matched, variance, self._aligned, self._steps, callback, trust_out=self.trust)
 
     def _finish(self, _: Callback | None) -> None:
         self._complete()

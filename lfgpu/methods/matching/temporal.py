@@ -76,7 +76,7 @@ class TemporalMatching(MatchingPlan):
     @property
     def numbers(self) -> tuple[Scalar, Scalar]:
         """The amount of texture, 0 if there was none; and the size of the first step, NaN if a value was not finite."""
-        return self._alignment.trust, self._alignment.moves[0]
+        return self.trust, self._alignment.moves[0]
 
     @property
     def state(self) -> dict[str, Array]:
