@@ -172,6 +172,13 @@ def test_points_have_the_colours_of_the_picture_in_bytes(kind: str, times: float
     assert (cloud.colors == 200).all()
 
 
+def test_the_least_confidence_of_points_is_a_number() -> None:
+    map_ = DisparityMap(np.ones((2, 3), np.float32), np.zeros((2, 3), np.float32))
+    for wrong in (float("nan"), "0.5", -1, 50):
+        with pytest.raises(lfgpu.LightFieldError, match="least_confidence must be a number from 0 to 1"):
+            lfgpu.point_cloud(map_, least_confidence=wrong)  # type: ignore[arg-type]
+
+
 def test_a_hole_takes_the_farther_of_its_sides() -> None:
     hole = np.array([[3, 3, 3, 3], [3, np.nan, 1, 3]])
     assert fill_unknown(hole).tolist() == [[3, 3, 3, 3], [3, 1, 1, 3]]

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from lfgpu.contract import Float32Array
-from lfgpu.data.light_field_checks import check_whole
+from lfgpu.data.light_field_checks import check_number, check_whole
 from lfgpu.data.result import DepthResult, DisparityMap, check_result
 from lfgpu.errors import LightFieldError
 
@@ -74,7 +74,7 @@ def point_cloud(
     Raises
     ------
     LightFieldError
-        If the result is none, the image is not of the map's size, the step is not >= 1, or no pixel is left.
+        If the result is none, the image is not of the map's size, a number is out of its range, or no pixel is left.
 
     Examples
     --------
@@ -83,6 +83,7 @@ def point_cloud(
     """
     check_result(result, DisparityMap)
     check_whole("step", step, 1)
+    check_number("least_confidence", least_confidence, 0, 1)
     disparity, every = result.disparity, np.s_[::step, ::step]
     height, width = disparity.shape
     y, x = np.mgrid[0:height:step, 0:width:step]
