@@ -208,6 +208,7 @@ class _Loader(SourceFileLoader):
         if Path(self.path).stem not in ON_HOST:
             text = re.sub(r"\b[\w.]+\.is_cpu\b", "False", text)
             text = re.sub(r"\b[\w.]+\.is_cuda\b", "True", text)
+            text = re.sub(r"\((\w+ := [\w.()]+)\)\.is_cuda\b", r"(\1, True)[1]", text)
             text = text.replace("wp.func_native(", "_native(")
         text = re.sub(r"^(_?PARTS) = 128\b", rf"\1 = {PARTS}", text, flags=re.MULTILINE)
         text = re.sub(r'"lfgpu_(?!room)', f'"{NAME}_', text)
