@@ -42,11 +42,6 @@ Progress = Callable[[str, int, float], None]
 class DepthPipeline:
     """Depth estimator for many light fields of one kind. All memory is allocated once.
 
-        pipeline = DepthPipeline(lf, disparity_range=(-2, 2))
-        pipeline.upload(views)          # [n, y, x, c], like lf.views
-        pipeline.run()                  # starts the work and returns
-        pipeline.disparity()            # float32 [y, x]; waits for the device
-
     On a GPU, the second run captures all work as a graph. From then on `run` launches this graph, which needs no host.
 
     Parameters
@@ -73,9 +68,9 @@ class DepthPipeline:
     Examples
     --------
     >>> pipeline = lfgpu.DepthPipeline(lf, config="fast", disparity_range=(-2, 2))
-    >>> pipeline.upload(lf.views)
-    >>> pipeline.run()
-    >>> pipeline.disparity().shape
+    >>> pipeline.upload(lf.views)  # [n, y, x, c]
+    >>> pipeline.run()  # starts the work and returns
+    >>> pipeline.disparity().shape  # waits for the device
     (64, 80)
     """
 
@@ -202,10 +197,8 @@ class DepthPipeline:
         The "warp" backend copies an array on the pipeline's own GPU there, without the host. The copy runs on the
         current stream of PyTorch or CuPy: it waits for their earlier work, and their later work waits for it. So the
         array may be changed or freed at once. For other libraries, and for arrays in host memory, the host waits until
-        the copy is done.
-
-        Values from a GPU are not checked here. If one is not finite, `disparity` and `result` raise, and
-        `device_disparity` is meaningless.
+        the copy is done. Values from a GPU are not checked here: if one is not finite, `disparity` and `result` raise,
+        and `device_disparity` is meaningless.
         """
         place = interop.place_of("views", views)
         (found, shape), expected = interop.kind_of("views", views), self._lf.views
@@ -270,9 +263,8 @@ class DepthPipeline:
 
         Notes
         -----
-        The stream that takes the array waits for the work that was started before; so take it anew after each run. The
-        next run overwrites the array. Finish reading it before that run, or upload the next views from the stream that
-        reads it.
+        The stream that takes the array waits for work that was started before: take it anew after each run, which
+        overwrites it. Finish reading it before the next run, or upload the next views from the stream that reads it.
         """
         return self.kernels.shared(self._plan.disparity)
 

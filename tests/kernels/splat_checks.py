@@ -137,7 +137,7 @@ def seen_by_reference(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 
 def share_of_a_view(i: SimpleNamespace) -> float:
-    """The size of what one view adds to the gradient of a pixel: 2 Σ image · residual over channels, by its offset."""
+    """The size of what a view adds to a pixel of the gradient: 2 Σ image · residual over channels, times its offset."""
     return 2 * i.image.shape[-1] * size(i.image, i.offsets)
 
 
