@@ -47,7 +47,7 @@ def export(
     from lfgpu.methods.temporal_prior import TemporalPrior
     from lfgpu.pipelines.export import export_pipeline
 
-    check_writable(out)
+    check_writable(out, source=source)
     config = parameters.config()
     bounds = values.parse_range("--disparity-range", disparity_range)
     options = reading.options()

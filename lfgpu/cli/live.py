@@ -161,7 +161,7 @@ def live(
 
     for folder in (out, recording):
         if folder is not None:
-            check_writable(folder)
+            check_writable(folder, source=Path(source) if Path(source).is_dir() else None)
     if recording is not None and next(recording.glob("frame_*"), None) is not None:
         raise LightFieldError(f"{recording} holds frames already, which would mix with new ones; name a new folder.")
     for option, value in (("--max-fps", max_fps), ("--budget", budget)):

@@ -40,8 +40,13 @@ def rectify(
     ] = None,
     refine: Annotated[bool, typer.Option("--refine", help="Also correct the cameras by what the views show.")] = False,
     model: Annotated[
-        str, typer.Option(metavar="NAME", help="Corrections by --refine: shift, similarity or homography.")
-    ] = "similarity",
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="Corrections by --refine: shift, similarity or homography.",
+            show_default="similarity",
+        ),
+    ] = None,
     positions: Annotated[
         bool, typer.Option("--positions", help="Also correct the positions of the cameras, by --refine.")
     ] = False,
@@ -79,8 +84,9 @@ def rectify(
     from lfgpu.io.views import before_writing
 
     check_writable(out, source=source if source.is_dir() else source.parent)
-    if positions and not refine:
-        raise LightFieldError("--positions is for --refine; give both or neither.")
+    for option, is_given in (("--model", model is not None), ("--positions", positions)):
+        if is_given and not refine:
+            raise LightFieldError(f"{option} is for --refine; give both or neither.")
     estimation = computing.estimation(values.configured(None, ()))
     for name in (POINTS_FILE, DEPTH_FILE) if points else ():
         check_writable(out / name, folder=False)
@@ -94,7 +100,7 @@ def rectify(
             pictures,
             calibration=calibration,
             unit=unit,
-            model=model if refine else None,
+            model=("similarity" if model is None else model) if refine else None,
             positions=positions,
             tones=equalise,
             depths=values.parse_range("--depths", depths),

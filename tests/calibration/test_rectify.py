@@ -271,6 +271,7 @@ def test_pictures_and_a_calibration_become_a_light_field_with_one_command(boxes:
     assert command("rectify", tmp_path, "-o", tmp_path / "out").code == 0
     assert not list((tmp_path / "out").glob("*.ply")) + list((tmp_path / "out").glob("*.pfm"))  # of the first map
     refused(command("rectify", tmp_path, "-o", tmp_path / "o2", "--positions"), "--positions is for --refine")
+    refused(command("rectify", tmp_path, "-o", tmp_path / "o2", "--model", "shift"), "--model is for --refine")
 
 
 def test_what_cannot_be_done_is_refused_before_any_work(
