@@ -86,6 +86,7 @@ def test_outputs_are_checked_before_anything_is_read(
         refused(lfgpu("depth", recorded, "-o", tmp_path / "out", "--save", name), words)
     for command in (["depth"], ["export-scene"], ["export"], ["live"], ["depth", "--save", "input_Cam004.png"]):
         refused(lfgpu(*command, recorded, "-o", recorded / ".." / recorded.name), "which is the input")
+    refused(lfgpu("live", recorded, "--record", recorded), f"{recorded}, which is the input")
     tiles = recorded / "input_Cam004.png"
     refused(lfgpu("depth", tiles, "-o", recorded, "--save", tiles.name), "which is the input")
     assert not list(tmp_path.iterdir())

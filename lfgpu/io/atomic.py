@@ -94,7 +94,7 @@ def check_writable(out: str | os.PathLike[str], *, folder: bool = True, source: 
     """
     target = _resolved(out)
     if source is not None and os.path.realpath(source) == str(target):
-        raise LightFieldError(f"-o names {out}, which is the input: it could be written over; name another.")
+        raise LightFieldError(f"{out}, which is the input, cannot be the output, too; name another place.")
     # A file is replaced by its sibling, a folder is written into: a folder has to be writable in both cases.
     place = target if folder else target.parent
     while not _exists(place):
