@@ -19,8 +19,16 @@ LEAST_SHARE = 1e-6  # of a Gaussian that must lie on valid pixels
 
 def intensities(views: Array, index: int, valid: Array | None, *, scale: float, fill: float, image_out: Array) -> None:
     image_out[:] = scale * views[index]
-    if valid is not None:
-        image_out[valid[index] == 0] = fill
+    if valid is None:
+        return
+    known = np.pad(valid[index] != 0, 1)
+    shown = np.pad(image_out, ((1, 1), (1, 1), (0, 0)))
+    total, count = np.zeros_like(image_out), np.zeros((*image_out.shape[:2], 1))
+    for before, after in ((np.s_[1:-1, :-2], np.s_[1:-1, 2:]), (np.s_[:-2, 1:-1], np.s_[2:, 1:-1])):
+        both = (known[before] & known[after])[..., None]
+        total += np.where(both, shown[before] + shown[after], 0)
+        count += 2 * both
+    image_out[:] = np.where(known[1:-1, 1:-1, None], image_out, np.where(count, total / np.maximum(count, 1), fill))
 
 
 def line_of_views(

@@ -29,6 +29,8 @@ def _intensities_kernel(channels: int, stored: Any) -> Any:
         has_valid: ti.template(),
         scale: float,
         fill: float,
+        height: int,
+        width: int,
         image_out: flat(channels=channels),
     ):
         for p in range(image_out.shape[0]):
@@ -36,7 +38,16 @@ def _intensities_kernel(channels: int, stored: Any) -> Any:
             value = scale * ti.cast(views[place], ti.f32)
             if ti.static(has_valid):
                 if valid[place] == 0.0:
+                    total, sides, y, x = ti.Vector([0.0] * channels), 0.0, p // width, p % width
+                    for across in ti.static((True, False)):
+                        step = 1 if across else width
+                        if 0 < x < width - 1 if across else 0 < y < height - 1:
+                            if valid[place - step] != 0.0 and valid[place + step] != 0.0:
+                                total += ti.cast(views[place - step], ti.f32) + ti.cast(views[place + step], ti.f32)
+                                sides += 2.0
                     value = ti.Vector([fill] * channels)
+                    if sides > 0.0:
+                        value = scale * total / sides
             image_out[p] = value
 
     return intensities_kernel

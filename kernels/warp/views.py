@@ -43,8 +43,19 @@ def _intensities(channels: int, stored: Any) -> Any:
         for c in range(wp.static(channels)):
             value[c] = scale * float(stored_value[c])
         if valid and valid[index, y, x] == 0.0:
+            value = pixel()
+            sides = float(0.0)
+            for down in range(2):
+                right = 1 - down
+                inside = y >= down and x >= right and y + down < valid.shape[1] and x + right < valid.shape[2]
+                if inside and valid[index, y - down, x - right] != 0.0 and valid[index, y + down, x + right] != 0.0:
+                    before = views[index, y - down, x - right]
+                    after = views[index, y + down, x + right]
+                    sides += 2.0
+                    for c in range(wp.static(channels)):
+                        value[c] += scale * (float(before[c]) + float(after[c]))
             for c in range(wp.static(channels)):
-                value[c] = fill
+                value[c] = wp.where(sides > 0.0, value[c] / wp.max(sides, 1.0), fill)
         image_out[y, x] = value
 
     return intensities

@@ -14,7 +14,7 @@ from lfgpu.contract.arrays import Array, Float32Array, Float64Array, Scalar
 from lfgpu.contract.backend import KernelSet
 from lfgpu.contract.control import Recording
 from lfgpu.contract.device import Device
-from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization
+from lfgpu.contract.images import REDUCTION, SMOOTHING_REACH, WHITE, Normalization, bridged
 from lfgpu.contract.learned import (
     CLOSE,
     COMPARED,
@@ -104,6 +104,7 @@ __all__ = [
     "Transport",
     "ViewSets",
     "ZBuffer",
+    "bridged",
     "half_window",
     "host_memory",
     "peak_features",

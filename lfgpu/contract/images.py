@@ -3,6 +3,9 @@
 from collections.abc import Sequence
 from typing import Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from lfgpu.contract.arrays import Array
 
 WHITE = 65535
@@ -13,6 +16,12 @@ SMOOTHING_REACH = 3
 
 REDUCTION = 4
 """Pixels of a view along a side of a pixel of a reduced view."""
+
+
+def bridged(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Add the pixels to a mask [y, x] that `Images.intensities` bridges."""
+    around = np.pad(mask, 1)
+    return mask | around[1:-1, :-2] & around[1:-1, 2:] | around[:-2, 1:-1] & around[2:, 1:-1]
 
 
 class Normalization(Protocol):
@@ -35,7 +44,11 @@ class Images(Protocol):
     def intensities(
         self, views: Array, index: int, valid: Array | None, *, scale: float, fill: float, image_out: Array
     ) -> None:
-        """image [y, x, c] = scale * views[index], but `fill` where `valid` [n, y, x] is 0 in view `index`."""
+        """image [y, x, c] = scale * views[index], where `valid` [n, y, x] is not 0 in view `index`.
+
+        A pixel where it is 0 is bridged if those at its left and right are valid, or those above and below it: it is
+        their mean, or that of all four. Elsewhere it is `fill`. Broken pixels and lines of a sensor are no gaps.
+        """
 
     def line_of_views(
         self,

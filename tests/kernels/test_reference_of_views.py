@@ -18,7 +18,7 @@ from resampling_checks import RESAMPLE, ResamplingCase, resampling_inputs
 from smoothing_checks import REDUCTION_CASES, SMOOTHING_CASES, SmoothingCase, smoothing_inputs
 from test_reference import REFERENCE
 
-from lfgpu.contract import UNSEEN, sectors_of
+from lfgpu.contract import UNSEEN, bridged, sectors_of
 
 SMALL_SECTORS = [case for case in learned.SECTOR_CASES if math.prod(case.size) * len(case.offsets) <= 1500]
 SMALL_LAYERS = [case for case in learned.CONVOLUTION_CASES if math.prod(case.size) <= 240 and case.stored == "float32"]
@@ -214,6 +214,18 @@ def test_reducing_is_the_formula(case: SmoothingCase, rng: np.random.Generator) 
             assert got["views"][n, y, x, c] == pytest.approx(want, abs=0.5 + 1e-6)
         if i.by_block is not None:
             assert got["valid"][n, y, x] == all(i.by_block[block].ravel())
+
+
+def test_single_masked_pixels_and_lines_are_bridged_by_valid_ones_alone() -> None:
+    mask = np.ones((5, 6), np.bool_)
+    mask[1, 1] = mask[0, 4] = mask[4, :2] = mask[2:4, 3:5] = mask[:, 5] = False
+    view = np.where(mask, 10.0 * np.arange(5)[:, None] ** 2 + np.arange(6) ** 2, np.nan)[..., None]
+    image = np.empty_like(view)
+    REFERENCE.intensities(view[None], 0, mask[None], scale=2.0, fill=-1.0, image_out=image)
+    expected = np.where(mask, 2 * view[..., 0], -1)  # two by two pixels, corners and borders have no two sides
+    expected[1, 1], expected[4, 1] = 2 * (10 + 14 + 1 + 41) / 4, -1
+    np.testing.assert_allclose(image[..., 0], expected)
+    assert ((image[..., 0] != -1) == bridged(mask)).all()
 
 
 def test_masks_of_blocks_leave_something_to_decide(rng: np.random.Generator) -> None:

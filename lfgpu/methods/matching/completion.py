@@ -59,9 +59,9 @@ class Completion:
         most, tolerance = frame.config.hole_filling.max_iterations, tuning.hole_filling.tolerance
         self._solver = ConjugateGradients(size, arena.device, tolerance=tolerance, max_iterations=most)
         self._alike = None
-        if frame.known.mask is not None:
+        if frame.known.shown is not None:
             # A patch that holds an unknown pixel is like no other patch: the pixel in its middle stays as it is.
-            alike = window_min(frame.known.mask, tuning.prior.patch)
+            alike = window_min(frame.known.shown, tuning.prior.patch)
             self._alike = arena.constant("alike", alike)
             self._held = arena.constant("held", np.full(size, held()))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lfgpu.contract import WHITE, Array, Float32Array, PlaneSweep, ViewSets
+from lfgpu.contract import WHITE, Array, Float32Array, PlaneSweep, ViewSets, bridged
 from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig
@@ -30,13 +30,22 @@ class KnownPixels:
         self._arena, self._kernels, self._size = arena, arena.kernels, layout.size
         self.mask: NDArray[np.bool_] | None = None if layout.masks is None else layout.masks[layout.reference]
         """The mask of the reference view, bool [y, x]; None if all pixels are known."""
+        self.shown = None if self.mask is None else bridged(self.mask)
+        """The same with the pixels that the image bridges, which are matched like all others."""
         self._known = None if self.mask is None else arena.constant("known", self.mask)
 
-    def putting(self, value: float) -> Callable[[Array], None]:
-        """Plan to give the unknown pixels of maps [y, x] a value."""
-        if self._known is None:
+    def putting_nan(self) -> Callable[[Array], None]:
+        """Plan to make maps [y, x] NaN at unknown pixels."""
+        return self._putting(math.nan, self._known)
+
+    def putting_far(self, value: float) -> Callable[[Array], None]:
+        """Plan to give maps [y, x] a value at the pixels that the image does not show."""
+        return self._putting(value, None if self.shown is None else self._arena.constant("shown", self.shown))
+
+    def _putting(self, value: float, known: Array | None) -> Callable[[Array], None]:
+        if known is None:
             return lambda map_: None
-        known, other = self._known, self._arena.constant(f"all {value}", np.full(self._size, value))
+        other = self._arena.constant(f"all {value}", np.full(self._size, value))
         return lambda map_: self._kernels.select(known, map_, other, map_)
 
     def take_out(self, values: Array) -> None:

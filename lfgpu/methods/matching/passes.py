@@ -112,7 +112,7 @@ class Sweeps:
     def __init__(self, frame: Frame, *, kind: str) -> None:
         arena, size = frame.arena, frame.size
         config, tuning, bounds = frame.config, frame.config.tuning.sweep, frame.bounds
-        self._frame, self._put_far = frame, frame.known.putting(bounds[0])  # an unknown pixel hides nothing
+        self._frame, self._put_far = frame, frame.known.putting_far(bounds[0])  # an unknown pixel hides nothing
         first, *further = sweeps_of(config)
         second = further.pop() if further and further[-1] in LEARNED else None
         self._guesses = None

@@ -53,7 +53,7 @@ class MatchingPlan:
         self._completion = Completion(frame, keeps_prior=self.is_live or (are_two and device.is_gpu))
         self.second = SecondMap(frame, self._sweeps) if are_two else None
         """The second map, if the table of sweeps has one."""
-        self._put_unknown = frame.known.putting(np.nan)
+        self._put_unknown = frame.known.putting_nan()
         names = ("swept", "aligned", "disparity", "confidence")
         self._swept, self._aligned, self.disparity, self.confidence = (arena.field(name, frame.size) for name in names)
         """`disparity` and `confidence` are the results, fields [y, x]."""
