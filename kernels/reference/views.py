@@ -28,7 +28,8 @@ def intensities(views: Array, index: int, valid: Array | None, *, scale: float, 
         both = (known[before] & known[after])[..., None]
         total += np.where(both, shown[before] + shown[after], 0)
         count += 2 * both
-    image_out[:] = np.where(known[1:-1, 1:-1, None], image_out, np.where(count, total / np.maximum(count, 1), fill))
+    means = np.divide(total, count, out=np.full_like(total, fill), where=count != 0)
+    image_out[:] = np.where(known[1:-1, 1:-1, None], image_out, means)
 
 
 def line_of_views(
