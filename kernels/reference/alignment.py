@@ -6,6 +6,8 @@ fit for another reason counts little.
 """
 
 from collections.abc import Sequence
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +44,8 @@ class z_buffer:
     def __call__(self, disparity: Array, offsets: Array, nearest_out: Array, *, reach: int) -> None:
         (height, width), border = disparity.shape, reach + 1
         for nearest, offset in zip(nearest_out, offsets, strict=False):
+            if np.isnan(offset.sum()):
+                continue
             front = np.full((height + 2 * border, width + 2 * border), NOWHERE)
             x, y = (rounded(place) + border for place in landing(disparity, offset))
             there = (x >= 0) & (x < front.shape[1]) & (y >= 0) & (y < front.shape[0])
@@ -78,7 +82,9 @@ class alignment:
         contrast: float,
         robust: float,
         tolerance: float,
+        shared: Any = None,
     ) -> None:
+        self._loaded = SimpleNamespace() if shared is None else shared._loaded
         self._offsets, self._scale, self._gradient_weight, self._contrast = offsets, scale, gradient_weight, contrast
         self._robust, self._tolerance = robust, tolerance
         self._others = [n for n, offset in enumerate(offsets) if np.hypot(*offset) > AT_REFERENCE]
@@ -88,19 +94,21 @@ class alignment:
         described = features(image)
         weights = np.empty(image.shape[:2])
         edge_weights(image, contrast=self._contrast, reach=GRADIENT_REACH, weights_out=weights)
-        self._weight_of_gradients = self._gradient_weight * weights
-        self._image = self._weighted(described[inner])
-        self._own_changes = [self._weighted(change[inner]) for change in differences(described)]
-        self._recorded = recorded
-        self._valid = np.ones(recorded.shape[:3]) if valid is None else valid
+        loaded = self._loaded
+        loaded.weight_of_gradients = self._gradient_weight * weights
+        loaded.image = self._weighted(described[inner])
+        loaded.own_changes = [self._weighted(change[inner]) for change in differences(described)]
+        loaded.recorded = recorded
+        loaded.valid = np.ones(recorded.shape[:3]) if valid is None else valid
 
     def __call__(self, disparity: Array, nearest: Array, curvature_out: Array, slope_out: Array) -> None:
+        own, own_changes = self._loaded.image, self._loaded.own_changes
         seen = [self._seen(n, disparity, nearest[n]) for n in self._others]
-        weights = [there * self._weight(found - self._image) for there, found, *_ in seen]
-        mean = mean_of(self._image, [found for _, found, _, _ in seen], weights)
+        weights = [there * self._weight(found - own) for there, found, *_ in seen]
+        mean = mean_of(own, [found for _, found, _, _ in seen], weights)
         weights = [there * self._weight(found - mean) for there, found, *_ in seen]
-        across = mean_of(self._own_changes[0], [change for _, _, change, _ in seen], weights)
-        down = mean_of(self._own_changes[1], [change for _, _, _, change in seen], weights)
+        across = mean_of(own_changes[0], [change for _, _, change, _ in seen], weights)
+        down = mean_of(own_changes[1], [change for _, _, _, change in seen], weights)
         curvature_out[:], slope_out[:] = 0, 0
         for n, k, (_, found, _, _) in zip(self._others, weights, seen, strict=True):
             change = -(self._offsets[n][0] * across + self._offsets[n][1] * down)
@@ -111,7 +119,7 @@ class alignment:
         """Features [y, x, 3 c] or their changes, with the weight of gradients on theirs."""
         channels = values.shape[2] // 3
         return np.concatenate(
-            [values[..., :channels], self._weight_of_gradients[..., None] * values[..., channels:]], 2
+            [values[..., :channels], self._loaded.weight_of_gradients[..., None] * values[..., channels:]], 2
         )
 
     def _weight(self, residual: Array) -> Array:
@@ -127,9 +135,9 @@ class alignment:
         there = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
         pixel = rounded(y[there]), rounded(x[there])
         visible = there.copy()
-        visible[there] = (self._valid[n][pixel] != 0) & (disparity[there] >= nearest[pixel] - self._tolerance)
+        visible[there] = (self._loaded.valid[n][pixel] != 0) & (disparity[there] >= nearest[pixel] - self._tolerance)
 
-        described = features(self._scale * self._recorded[n])
+        described = features(self._scale * self._loaded.recorded[n])
         found, across, down = (np.zeros((height, width, described.shape[2])) for _ in range(3))
         for values, out in zip((described, *differences(described)), (found, across, down), strict=True):
             out[there] = bilinear(values, x[there], y[there])

@@ -6,7 +6,8 @@ faint texture count beside strong edges.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,20 +68,28 @@ def most(cost: SweepCost) -> float:
 class plane_sweep:
     """The sweep over views of one light field."""
 
-    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
+    def __init__(
+        self,
+        shape: Sequence[int],
+        views: ViewSets,
+        disparities: Disparities,
+        *,
+        scale: float,
+        shared: Any = None,
+    ) -> None:
         offsets = views.offsets
         self._view_sets = views.members != 0
         self._disparities = disparities.first + disparities.step * np.arange(disparities.count)
         self._shifts = sweep_shifts(offsets, disparities)
         self._others = np.flatnonzero(np.hypot(*offsets.T) > LEAST_OFFSET)
-        self._scale = scale
+        self._scale, self._loaded = scale, SimpleNamespace() if shared is None else shared._loaded
         self._preference, self._tolerance, self._least = views.preference, views.tolerance, views.least
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
-        self._image, self._recorded, self._valid = image, recorded, valid
+        self._loaded.image, self._loaded.recorded, self._loaded.valid = image, recorded, valid
 
     def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:
-        size = (len(self._view_sets), *self._image.shape[:2])
+        size = (len(self._view_sets), *self._loaded.image.shape[:2])
         for label, slice_out in enumerate(volume_out):
             sums, counts = np.zeros(size), np.zeros(size)
             for compared in self._compared(label, cost):
@@ -103,15 +112,16 @@ class plane_sweep:
 
     def _compared(self, label: int, cost: SweepCost) -> Iterator[Compared]:
         """Yield each view but the reference."""
-        height, width, _ = self._image.shape
+        image, recorded, valid = self._loaded.image, self._loaded.recorded, self._loaded.valid
+        height, width, _ = image.shape
         for n in self._others:
             x, y = shifted(width, self._shifts[label, n, 0]), shifted(height, self._shifts[label, n, 1])
-            difference = self._scale * bilinear(self._recorded[n], x, y) - self._image
+            difference = self._scale * bilinear(recorded[n], x, y) - image
             color = np.abs(difference).mean(2)
             gradient = np.abs(np.concatenate(central_differences(difference), axis=2)).mean(2)
             robust = rooted(np.minimum(color, cost.truncation), cost.softness)
             robust += cost.gradient_weight * np.minimum(gradient, cost.gradient_truncation)
             inside, nearest = np.outer(y.inside, x.inside), tuple(np.meshgrid(y.nearest, x.nearest, indexing="ij"))
-            if self._valid is not None:
-                inside &= self._valid[n][nearest] != 0
+            if valid is not None:
+                inside &= valid[n][nearest] != 0
             yield Compared(int(n), robust / (1 + cost.gradient_weight), inside, (nearest[0], nearest[1]))

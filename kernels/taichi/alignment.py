@@ -17,7 +17,7 @@ from lfgpu.contract import GRADIENT_REACH, ZBuffer
 
 from .edges import weigh_edges
 from .landing import land, share_of_view, tasks_of_view, within
-from .memory import DeviceArray, empty, flat, numpy, optional
+from .memory import DeviceArray, empty, flat, numpy, optional, table
 from .runtime import on_cpu, once, run
 
 _NOWHERE = -1e6  # the disparity of what nothing comes near
@@ -57,6 +57,11 @@ def _nearest_kernel(cpu: bool) -> Any:
                 found = ti.max(found, fronts[corner + j * wide + i])
         return found
 
+    @ti.func
+    def is_there(du: float):
+        """True if that is not NaN, by its bits: fast arithmetic knows no NaN."""
+        return (ti.bit_cast(du, ti.i32) & 0x7FFFFFFF) <= 0x7F800000
+
     @ti.kernel
     def nearest_kernel(
         disparity: field,
@@ -80,7 +85,7 @@ def _nearest_kernel(cpu: bool) -> Any:
             n, start, end = share_of_view(task, size, cpu)
             du = offsets[2 * (first + n)]
             dv = offsets[2 * (first + n) + 1]
-            for p in range(start, end):
+            for p in range(start, ti.select(is_there(du), end, start)):
                 d = disparity[p]
                 place = place_of(p, d, du, dv, border, height, width)
                 if place >= 0:
@@ -91,12 +96,13 @@ def _nearest_kernel(cpu: bool) -> Any:
                         ti.atomic_max(fronts[n * room + place], rank)
         for i in range(count * size):
             n = i // size
-            p = i - n * size
-            corner = n * room + p // width * wide + p % width
-            found = largest_around(fronts, corner + wide + 1, 2 * reach + 1, wide)
-            if found == _LOWEST:
-                found = largest_around(fronts, corner, 2 * reach + 3, wide)
-            nearest_out[first * size + i] = ti.bit_cast(swapped(found), ti.f32)
+            if is_there(offsets[2 * (first + n)]):
+                p = i - n * size
+                corner = n * room + p // width * wide + p % width
+                found = largest_around(fronts, corner + wide + 1, 2 * reach + 1, wide)
+                if found == _LOWEST:
+                    found = largest_around(fronts, corner, 2 * reach + 3, wide)
+                nearest_out[first * size + i] = ti.bit_cast(swapped(found), ti.f32)
 
     return nearest_kernel
 
@@ -360,28 +366,32 @@ class alignment:
         contrast: float,
         robust: float,
         tolerance: float,
+        shared: Any = None,
     ) -> None:
-        self._shape, self._offsets = tuple(shape), offsets
-        others = int((np.hypot(*numpy(offsets).T) > _AT_REFERENCE).sum())
+        places = np.nan_to_num(numpy(offsets))  # what is left out is taken for the reference
+        self._shape, self._offsets = tuple(shape), table(places)
+        others = int((np.hypot(*places.T) > _AT_REFERENCE).sum())
         share_of_all = 1 / (3 * shape[3] * max(others, 1))
-        self._weighing, self._weights = (gradient_weight, contrast, GRADIENT_REACH), empty(shape[1:3])
+        self._weighing = gradient_weight, contrast, GRADIENT_REACH
         self._compared = scale, robust, tolerance, share_of_all
-        self._packed: Any = None
+        self._loaded = SimpleNamespace(weights=empty(shape[1:3]), packed=None) if shared is None else shared._loaded
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
         n, height, width, channels = self._shape
-        self._kernels = _kernels(channels, recorded.scalar)
-        if self._packed is None or self._packed.scalar is not recorded.scalar:
+        loaded = self._loaded
+        loaded.kernels = _kernels(channels, recorded.scalar)
+        if loaded.packed is None or loaded.packed.scalar is not recorded.scalar:
             size = n, height + _BORDER, width + _BORDER
-            self._packed = empty(size, channels=channels + 1, scalar=recorded.scalar)
-        self._image = image
+            loaded.packed = empty(size, channels=channels + 1, scalar=recorded.scalar)
+        loaded.image = image
         # What is near a step in brightness sees it in its gradients.
-        weigh_edges(image, *self._weighing, weights_out=self._weights)
-        run(self._kernels.pack, recorded, *optional(valid), height, width, self._packed)
+        weigh_edges(image, *self._weighing, weights_out=loaded.weights)
+        run(loaded.kernels.pack, recorded, *optional(valid), height, width, loaded.packed)
 
     def __call__(
         self, disparity: DeviceArray, nearest: DeviceArray, curvature_out: DeviceArray, slope_out: DeviceArray
     ) -> None:
-        views = self._image, self._weights, self._packed, self._offsets
+        loaded = self._loaded
+        views = loaded.image, loaded.weights, loaded.packed, self._offsets
         maps = disparity, nearest, *disparity.shape
-        run(self._kernels.align, *views, *self._compared, *maps, curvature_out, slope_out)
+        run(loaded.kernels.align, *views, *self._compared, *maps, curvature_out, slope_out)

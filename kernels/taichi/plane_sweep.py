@@ -7,6 +7,7 @@ once to each of these.
 """
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -399,7 +400,15 @@ def _least_kernel(
 class plane_sweep:
     """The shifts of the views, in the order of their view sets."""
 
-    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
+    def __init__(
+        self,
+        shape: Sequence[int],
+        views: ViewSets,
+        disparities: Disparities,
+        *,
+        scale: float,
+        shared: Any = None,
+    ) -> None:
         self._shape, self._scale = tuple(shape), scale
         self._preference, self._least = views.preference, float(views.least)
         places, belongs = numpy(views.offsets), numpy(views.members).T != 0
@@ -415,23 +424,24 @@ class plane_sweep:
         self._deepest = [float(d) for d in disparities.first + disparities.step * np.arange(count) + views.tolerance]
         _, height, width, channels = self._shape
         self._batch = max(1, min(self._views, _TOGETHER))
-        self._image = empty((channels, height, width))
+        image = empty((channels, height, width)) if shared is None else None
+        self._loaded = shared._loaded if shared is not None else SimpleNamespace(image=image, stored=None)
         if on_cpu():
             self._differences = empty((self._batch, channels, height, width))
             self._group = empty((2, height, width))
             self._sums = empty((self._view_sets, 2, height, width))
         else:
             self._limits = table(np.array(self._deepest))
-        self._stored: Any = None
 
     def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
         n, height, width, channels = self._shape
-        if self._stored != recorded.scalar:
-            self._stored, (_, planes, scalar) = recorded.scalar, _planes_of(channels, recorded.scalar)
-            self._recorded = empty((n, planes, height, width), scalar=scalar)
-        run(_planes_kernel(channels, image.scalar), image, height * width, self._image)
-        run(_planes_kernel(channels, recorded.scalar), recorded, height * width, self._recorded)
-        self._valid = valid
+        loaded = self._loaded
+        if loaded.stored != recorded.scalar:
+            loaded.stored, (_, planes, scalar) = recorded.scalar, _planes_of(channels, recorded.scalar)
+            loaded.recorded = empty((n, planes, height, width), scalar=scalar)
+        run(_planes_kernel(channels, image.scalar), image, height * width, loaded.image)
+        run(_planes_kernel(channels, recorded.scalar), recorded, height * width, loaded.recorded)
+        loaded.valid = valid
 
     def by_view_sets(self, cost: SweepCost, volume_out: DeviceArray) -> None:
         self._sweep(None, self._view_sets, 1.0, cost, volume_out)
@@ -449,15 +459,15 @@ class plane_sweep:
     ) -> None:
         gradients = cost.gradient_weight > 0
         limits = cost.truncation, cost.gradient_weight, cost.gradient_truncation, cost.softness
-        _, height, width, channels = self._shape
-        (mask, masked), (surface, seen) = optional(self._valid), optional(nearest)
+        loaded, (_, height, width, channels) = self._loaded, self._shape
+        (mask, masked), (surface, seen) = optional(loaded.valid), optional(nearest)
         if not on_cpu():
-            sweep = _gpu_kernel(channels, self._stored, masked, seen, gradients, sets)
-            arrays = self._recorded, self._image, mask, surface, self._shifts, self._members, self._limits
+            sweep = _gpu_kernel(channels, loaded.stored, masked, seen, gradients, sets)
+            arrays = loaded.recorded, loaded.image, mask, surface, self._shifts, self._members, self._limits
             numbers = self._views, height, width, self._scale, *limits, self._preference, least
             run(sweep, *arrays, *numbers, volume_out)
             return
-        differ = _difference_kernel(self._recorded.scalar, _BLOCK)
+        differ = _difference_kernel(loaded.recorded.scalar, _BLOCK)
         add = _cost_kernel(channels, masked, seen, gradients, _BLOCK)
         shifts, differences, size = self._shifts, self._differences, height * width
         for label, deepest in enumerate(self._deepest):
@@ -465,7 +475,7 @@ class plane_sweep:
             for begin in range(0, max(1, self._views), self._batch):
                 end = min(begin + self._batch, self._views)
                 these = first + begin, end - begin, channels, height, width, self._scale
-                run(differ, self._recorded, self._image, shifts, *these, differences)
+                run(differ, loaded.recorded, loaded.image, shifts, *these, differences)
                 inputs = differences, mask, surface, shifts, self._members, sets, first, begin, end, height, width
                 run(add, *inputs, *limits, deepest, self._group, self._sums)
             place = label * size, size

@@ -67,29 +67,44 @@ class alignment:
         contrast: Any,
         robust: Any,
         tolerance: float,
+        shared: Any = None,
     ) -> None:
         self._shape, self._pairs = tuple(shape), as_offsets(offsets)
         others = int((np.hypot(*offsets.numpy().T) > _AT_REFERENCE).sum())
         share_of_all = 1 / (3 * shape[3] * max(others, 1))
-        self._weighing = gradient_weight, contrast, GRADIENT_REACH
-        self._weights = wp.empty(self._shape[1:3], dtype=float, device=offsets.device)
         self._compared = [scale, *given(robust), tolerance, share_of_all]
-        self._stored: Any = None
+        if shared is None:
+            self._loaded = _Loaded(self._shape, (gradient_weight, contrast, GRADIENT_REACH), offsets.device)
+        else:
+            self._loaded = shared._loaded
 
     def load(self, image: Any, recorded: Any, valid: Any) -> None:
+        self._loaded.take(image, recorded, valid)
+
+    def __call__(self, disparity: Any, nearest: Any, curvature_out: Any, slope_out: Any) -> None:
+        loaded = self._loaded
+        views = [loaded.image, loaded.weights, loaded.packed, self._pairs]
+        launch_rows(loaded.kernels.align, [*views, *self._compared, disparity, nearest], curvature_out, slope_out)
+
+
+class _Loaded:
+    """The views as the alignment reads them."""
+
+    def __init__(self, shape: tuple[int, ...], weighing: tuple[float, Any, int], device: Any) -> None:
+        self._shape, self._weighing = shape, weighing
+        self._stored: Any = None
+        self.weights = wp.empty(shape[1:3], dtype=float, device=device)
+
+    def take(self, image: Any, recorded: Any, valid: Any) -> None:
         stored, device = recorded.dtype._wp_scalar_type_, image.device
         if stored is not self._stored:
             n, height, width, channels = self._shape
             # A CPU reads half precision slowly, and each pixel many times.
             compact = wp.float32 if stored is wp.float16 and device.is_cpu else stored
             size, kept = (n, height + _BORDER, width + _BORDER), pixel_type(4 if channels == 3 else 2, compact)
-            self._stored, self._kernels = stored, _kernels(channels, stored, compact, device.is_cpu)
-            self._packed = wp.empty(size, dtype=kept, device=device)
-        self._image = image
+            self._stored, self.kernels = stored, _kernels(channels, stored, compact, device.is_cpu)
+            self.packed = wp.empty(size, dtype=kept, device=device)
+        self.image = image
         # What is near a step in brightness sees it in its gradients.
-        weigh_edges(image, *self._weighing, self._weights)
-        launch_rows(self._kernels.pack, [recorded, valid], self._packed)
-
-    def __call__(self, disparity: Any, nearest: Any, curvature_out: Any, slope_out: Any) -> None:
-        inputs = [self._image, self._weights, self._packed, self._pairs, *self._compared, disparity, nearest]
-        launch_rows(self._kernels.align, inputs, curvature_out, slope_out)
+        weigh_edges(image, *self._weighing, self.weights)
+        launch_rows(self.kernels.pack, [recorded, valid], self.packed)

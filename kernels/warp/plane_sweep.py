@@ -2,11 +2,11 @@
 
 `PlaneSweep` in `lfgpu/contract` says what is computed. At one disparity all pixels of a view are shifted alike: rows
 are interpolated as a whole, with the same weights everywhere. Views that belong to the same view_sets are added up
-first, and then once to each of these. The plan keeps the views in an order of its own. `cpu_plane_sweep.py` and
-`gpu_plane_sweep.py` have the kernels.
+first, and then once to each of these. `cpu_plane_sweep.py` and `gpu_plane_sweep.py` have the kernels.
 """
 
 from collections.abc import Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -27,10 +27,71 @@ _OUTSIDE = 2.0**24  # pixels: a shift with which no view shows anything
 _PENALTY = 1e-4  # of all view_sets but the first, besides their preference
 
 
-class plane_sweep:
-    """The shifts of the views, in the order of their view sets, and the views as the device reads them."""
+class _Loaded:
+    """The views as the device reads them."""
 
-    def __init__(self, shape: Sequence[int], views: ViewSets, disparities: Disparities, *, scale: float) -> None:
+    def __init__(self, shape: Sequence[int], device: Any, scale: float) -> None:
+        self._shape, self._device, self._scale = tuple(shape), device, scale
+        self.stored: Any = None
+        self.image: Any = None
+
+    def reach(self, farthest: int) -> None:
+        """Prepare for shifts of at most so many pixels: a CPU keeps what lies beside the views."""
+        self._farthest = farthest
+        if self._device.is_cpu:
+            self.stored = None
+
+    def take(self, image: Any, recorded: Any, valid: Any) -> None:
+        stored = recorded.dtype._wp_scalar_type_
+        if stored is not self.stored:
+            self._prepare(stored)
+        self.valid = valid
+        if self._device.is_cpu:
+            launch_slices(self._loading.views, len(recorded), [recorded, self.margin], self.views)
+            launch(self._loading.image, image.shape, [image, self._scale], [self.image], device="cpu")
+            return
+        self.image = image
+        inputs = [flat(recorded), None if valid is None else flat(valid)]
+        launch(self._pack, recorded.size, inputs, [flat(self.views)], device=self._device)
+
+    def _prepare(self, stored: Any) -> None:
+        """Allocate for views of scalar type `stored`, the first time and when that changes."""
+        n, height, width, channels = self._shape
+        self.stored = stored
+        if not self._device.is_cpu:
+            self.views = wp.empty((n, height, width), dtype=kept_type(channels, stored), device=self._device)
+            self._pack = pack_kernel(channels, stored)
+            self._mark = mark_kernel(channels, stored)
+            self._marks: Any = None
+            return
+        self._loading = cpu_plane_sweep.loading_kernels(channels, stored)
+        self.margin, more = cpu_plane_sweep.margins(width, self._farthest)
+        kept = cpu_plane_sweep.kept_type(stored)
+        self.views = wp.empty((n, channels, height, width + more), dtype=kept, device="cpu")
+        self.image = wp.zeros((channels, height, width + cpu_plane_sweep.LANES), dtype=float, device="cpu")
+
+    def mark(self, nearest: Any, order: Any, deepest: Any) -> Any:
+        """Mark the pixels of the views in `order` with the first disparity past the surface, on a GPU."""
+        if self._marks is None:
+            self._marks = wp.empty(self._shape[:3], dtype=wp.uint16, device=self._device)
+        plane = prod(self._shape[1:3])
+        inputs = [flat(self.views), flat(nearest), order, plane, deepest]
+        launch(self._mark, len(order) * plane, inputs, [flat(self._marks)], device=self._device)
+        return self._marks
+
+
+class plane_sweep:
+    """The shifts of the views, in the order of their view sets."""
+
+    def __init__(
+        self,
+        shape: Sequence[int],
+        views: ViewSets,
+        disparities: Disparities,
+        *,
+        scale: float,
+        shared: Any = None,
+    ) -> None:
         offsets: Any = views.offsets
         view_sets: Any = views.members
         self._shape, self._device, self._scale = tuple(shape), offsets.device, scale
@@ -46,15 +107,18 @@ class plane_sweep:
         self._order, self._members, self._together = (indices(tuple(t.tolist()), self._device.alias) for t in tables)
         self._shifts = wp.empty((self._count, len(others)), dtype=wp.vec4f, device=self._device)
         self._deepest = wp.empty(self._count, dtype=float, device=self._device)
-        self._stored: Any = None
+        self._shares = shared is not None
+        self._loaded = _Loaded(shape, self._device, scale) if shared is None else shared._loaded
         self.move(disparities)
+        if self._device.is_cpu:
+            channels = self._shape[3]
+            self._room = room_for(self._device, self._shape[1], cpu_plane_sweep.room_of(channels, self._groups))
 
     def move(self, disparities: Disparities) -> None:
         shifts = sweep_shifts(self._places, disparities)
         whole = np.floor(shifts)
-        self._farthest = int(np.abs(whole[..., 0]).max(initial=0))
-        if self._device.is_cpu:
-            self._stored = None  # what lies beside the views depends on how far they are shifted
+        if not self._shares:
+            self._loaded.reach(int(np.abs(whole[..., 0]).max(initial=0)))
         rest = ((0, self._count - disparities.count), (0, 0), (0, 0))
         shifts = np.pad(np.concatenate([whole, shifts - whole], axis=2), rest, constant_values=_OUTSIDE)
         self._shifts.assign(shifts.astype(np.float32))
@@ -62,34 +126,7 @@ class plane_sweep:
         self._deepest.assign(deepest.astype(np.float32))
 
     def load(self, image: Any, recorded: Any, valid: Any) -> None:
-        stored = recorded.dtype._wp_scalar_type_
-        if stored is not self._stored:
-            self._prepare(stored)
-        if not self._device.is_cpu:
-            self._image = image
-            inputs = [flat(recorded), None if valid is None else flat(valid)]
-            launch(self._pack, recorded.size, inputs, [flat(self._views)], device=self._device)
-            return
-        self._valid = valid
-        launch_slices(self._loading.views, len(recorded), [recorded, self._margin], self._views)
-        launch(self._loading.image, image.shape, [image, self._scale], [self._image], device="cpu")
-
-    def _prepare(self, stored: Any) -> None:
-        """Allocate for views of scalar type `stored`, the first time and when that changes."""
-        n, height, width, channels = self._shape
-        self._stored = stored
-        if not self._device.is_cpu:
-            self._views = wp.empty((n, height, width), dtype=kept_type(channels, stored), device=self._device)
-            self._pack = pack_kernel(channels, stored)
-            self._mark = mark_kernel(channels, stored)
-            self._marks: Any = None
-            return
-        self._loading = cpu_plane_sweep.loading_kernels(channels, stored)
-        self._margin, more = cpu_plane_sweep.margins(width, self._farthest)
-        kept = cpu_plane_sweep.kept_type(stored)
-        self._views = wp.empty((n, channels, height, width + more), dtype=kept, device="cpu")
-        self._image = wp.zeros((channels, height, width + cpu_plane_sweep.LANES), dtype=float, device="cpu")
-        self._room = room_for(self._device, height, cpu_plane_sweep.room_of(channels, self._groups))
+        self._loaded.take(image, recorded, valid)
 
     def by_view_sets(self, cost: SweepCost, volume_out: Any) -> None:
         self._sweep(None, self._members, (self._groups, self._view_sets), 1.0, cost, volume_out)
@@ -107,28 +144,20 @@ class plane_sweep:
         volume_out: Any,
     ) -> None:
         """`members` says of each view in which view sets it is; `counts` are those of groups of views and of sets."""
-        _, height, width, channels = self._shape
+        loaded, (_, height, width, channels) = self._loaded, self._shape
         groups, sets = counts
         gradients, rooted = cost.gradient_weight > 0, isinstance(cost.softness, wp.array) or cost.softness > 0
         numbers = [self._scale, cost.truncation, cost.gradient_weight, cost.gradient_truncation]
         numbers += [*given(cost.softness), self._preference]
         if not self._device.is_cpu:
             seen = nearest is not None
-            if seen:
-                self._mark_surface(nearest)
-            kernel = sweep_kernel(channels, self._stored, sets, seen, gradients, rooted, _PENALTY)
+            marks = loaded.mark(nearest, self._order, self._deepest) if seen else None
+            kernel = sweep_kernel(channels, loaded.stored, sets, seen, gradients, rooted, _PENALTY)
             dim = threads_of(self._count, height, width, seen=seen, gradients=gradients)
-            marks = self._marks if seen else None
-            inputs = [self._views, self._image, marks, self._order, members, self._shifts, *numbers, least]
+            inputs = [loaded.views, loaded.image, marks, self._order, members, self._shifts, *numbers, least]
             launch(kernel, dim, inputs, [volume_out], device=self._device, block_dim=BLOCK)
             return
-        views = [self._views, self._margin, self._image, self._valid, nearest]
+        views = [loaded.views, loaded.margin, loaded.image, loaded.valid, nearest]
         planned = [self._order, members, groups, self._shifts, self._deepest, sets]
-        kernel = cpu_plane_sweep.sweep_kernel(channels, self._views.dtype, gradients, rooted, _PENALTY)
+        kernel = cpu_plane_sweep.sweep_kernel(channels, loaded.views.dtype, gradients, rooted, _PENALTY)
         launch_slices(kernel, height, [*views, *planned, *numbers, least], volume_out, room=self._room)
-
-    def _mark_surface(self, nearest: Any) -> None:
-        if self._marks is None:
-            self._marks = wp.empty(self._shape[:3], dtype=wp.uint16, device=self._device)
-        inputs = [flat(self._views), flat(nearest), self._deepest]
-        launch(self._mark, self._marks.size, inputs, [flat(self._marks)], device=self._device)

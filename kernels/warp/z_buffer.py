@@ -7,6 +7,7 @@ views on a CPU, and as many as fit into the cache on a GPU.
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import warp as wp
 
 from lfgpu.contract import ZBuffer
@@ -36,16 +37,17 @@ def z_buffer(size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
 
     def find(disparity: Any, offsets: Any, nearest_out: Any, *, reach: int) -> None:
         pairs, used = as_offsets(offsets), (height + 2 * reach + 2) * (width + 2 * reach + 2)
+        there = np.flatnonzero(~np.isnan(offsets.numpy()[:, 0])).tolist()
         load(place, clear)
 
         def some_views(k: int, first: int, last: int) -> None:
             fronts = rooms[k][:used]
-            for n in range(first, last):
+            for n in there[first:last]:
                 launch(clear, 1, [], [fronts], device=place)
                 launch(land, height, [disparity, pairs, n, reach + 1], [fronts], device=place)
                 launch(look_around, height, [fronts, reach], [nearest_out[n : n + 1]], device=place)
 
-        in_slices(place, len(pairs), some_views)
+        in_slices(place, len(there), some_views)
 
     return find
 
@@ -62,6 +64,8 @@ def _gpu_z_buffer(size: tuple[int, int], room: int, device: Any) -> ZBuffer:
             keys.zero_()
             inputs = [disparity, pairs[first:last], last - first, width]
             launch(land, height * width, inputs, [keys], device=device)
-            launch(look_around, height * width, [keys, width], [nearest_out[first:last]], device=device)
+            launch(
+                look_around, height * width, [keys, pairs[first:last], width], [nearest_out[first:last]], device=device
+            )
 
     return find

@@ -64,7 +64,7 @@ class ViewSets:
     Parameters
     ----------
     offsets
-        A field [n, 2]: (du, dv) of each view, in view steps.
+        A field [n, 2]: (du, dv) of each view, in view steps; NaN if it is not compared.
     members
         A field [m, n] of 1 and 0: the views of each set, m <= 32; row 0 is all 1.
     preference
@@ -85,6 +85,8 @@ class ViewSets:
 class PlaneSweep(Protocol):
     """Matching costs of the views at each of a row of disparities, planned for one camera array.
 
+    Plans may share what they `load`; then one of them does.
+
     Planned for light fields of one kind: views [n, y, x, c] and `Disparities` d_l; each call has a `SweepCost`. With
     W_n(p) = scale * recorded_n at p - d_l o_n (bilinear, the position moved into the frame), D = W_n - I and G its
     central differences in x and y, (D(p + 1) - D(p - 1)) / 2 with the border pixels of D repeated,
@@ -94,10 +96,10 @@ class PlaneSweep(Protocol):
 
     r(x) is nearly x while x is small beside s, and grows like its root where it is large. With a softness of 0 it is x.
 
-    View n takes part at p if it is not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to width - 1, 0
-    to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes part in
-    costs the most there is, (r(truncation) + w gradient_truncation) / (1 + w). The shifts -d_l o_n are `sweep_shifts`,
-    so that no rounding in float32 decides what lies in the frame and which pixel is nearest.
+    View n takes part at p if it is compared and not the reference (|o_n| > 1e-3), p - d_l o_n lies in the frame (0 to
+    width - 1, 0 to height - 1) and the recorded pixel nearest to it (x + 1/2 rounded down) is valid. What no view takes
+    part in costs the most there is, (r(truncation) + w gradient_truncation) / (1 + w). The shifts -d_l o_n are
+    `sweep_shifts`, so that no rounding in float32 decides what lies in the frame and which pixel is nearest.
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
@@ -125,7 +127,7 @@ class ZBuffer(Protocol):
     def __call__(self, disparity: Array, offsets: Array, nearest_out: Array, *, reach: int) -> None:
         """nearest [m, y, x]: the largest of the disparities [y, x] that come near a pixel of a view.
 
-        Views beyond the `offsets` [n, 2] are left as they are, and so they are wherever `nearest` is read.
+        Views beyond the `offsets` [n, 2], or whose offsets are NaN, are left as they are: nobody reads them.
 
         It is the maximum of d_p over the reference pixels p for which p - d_p o_n, rounded (x + 1/2 down), is at most
         `reach` pixels away in x and in y, also beyond the frame; where there is none, at most `reach` + 1; where
@@ -141,6 +143,8 @@ class Alignment(Protocol):
     bilinear. View n takes part where `PlaneSweep` says and where d(p) >= nearest_n - tolerance at the pixel nearest to
     p - d(p) o_n. Its weight is k_n(r) = 1 / (1 + mean r^2 / robust^2)^2, mean over the features, 0 where it takes no
     part.
+
+    Views whose offsets are NaN take no part. Plans may share what they `load`; then one of them does.
 
     w(p) is gradient_weight times what `edge_weights` is for the reference, `contrast` and GRADIENT_REACH.
     """
@@ -170,8 +174,12 @@ class Matching(Protocol):
         disparities: Disparities,
         *,
         scale: float,
+        shared: PlaneSweep | None = None,
     ) -> PlaneSweep:
-        """Plan a sweep over views of `shape` [n, y, x, c]; the fields in `views` are read once."""
+        """Plan a sweep over views of `shape` [n, y, x, c]; the fields in `views` are read once.
+
+        It compares some of the views that `shared` compares and loads, at the same disparities, if that is given.
+        """
 
     def z_buffer(self, size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
         """Plan the nearest surfaces in views of a size (y, x), with a reach of up to so many pixels, 0 to 100."""
@@ -186,8 +194,12 @@ class Matching(Protocol):
         contrast: float,
         robust: float,
         tolerance: float,
+        shared: Alignment | None = None,
     ) -> Alignment:
-        """Plan the alignment of views of `shape` [n, y, x, c]."""
+        """Plan the alignment of views of `shape` [n, y, x, c].
+
+        It compares some of the views that `shared` loads, with the same weights of gradients, if that is given.
+        """
 
     def semi_global(
         self,

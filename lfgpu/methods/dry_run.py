@@ -107,8 +107,12 @@ class DryKernels:
 
     # --- operations that keep something ---
 
-    def plane_sweep(self, shape: Sequence[int], views: Any, disparities: Any, *, scale: float) -> DryOperation:
-        """Count views in an order of its own, and on a GPU the first disparity past the surface in each pixel."""
+    def plane_sweep(
+        self, shape: Sequence[int], views: Any, disparities: Any, *, scale: float, shared: Any = None
+    ) -> DryOperation:
+        """Count views that are not shared, and on a GPU the first disparity past the surface in each pixel."""
+        if shared is not None:
+            return DryOperation()
         if self._on_gpu:
             self._count(shape[:3], 2)
         return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
@@ -117,8 +121,10 @@ class DryKernels:
         """Count the surfaces of each slice of the work."""
         return DryOperation() if self._on_gpu else self._count((_SLICES, *size), _FLOAT)
 
-    def alignment(self, shape: Sequence[int], offsets: Any, **numbers: float) -> DryOperation:
-        """Count views, each pixel with its mask, and the weights of gradients."""
+    def alignment(self, shape: Sequence[int], offsets: Any, *, shared: Any = None, **numbers: float) -> DryOperation:
+        """Count views that are not shared, each pixel with its mask, and the weights of gradients."""
+        if shared is not None:
+            return DryOperation()
         self._count(shape[1:3], _FLOAT)
         return DryOperation(lambda views: self._packed(views, has_mask=True))
 

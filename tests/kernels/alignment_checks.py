@@ -8,6 +8,7 @@ import checks
 import nlm_checks
 import numpy as np
 import splat_checks
+import sweep_checks
 from checks import Desk, Operation, Outputs, Values, largest_error, relative_to_terms, size
 
 from lfgpu.kernels import reference as reference_package
@@ -166,35 +167,35 @@ CLEAR = 1e-4
 
 
 def z_buffer(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """After that of another map, which leaves no trace."""
+    """After that of another map, which leaves no trace where views are not left out."""
     count, height, width, _ = i.recorded.shape
     plan = desk.kernels.z_buffer((height, width), desk.device, reach=max(i.reach, 2))
     offsets, out = desk.field(i.offsets), desk.out((count, height, width))
     plan(desk.field(i.disparity[::-1, ::-1] + 1), offsets, out, reach=2)
+    some = desk.out((count, height, width))
+    plan(desk.field(i.disparity[::-1, ::-1] + 1), offsets, some, reach=2)
+    plan(desk.field(i.disparity), desk.field(sweep_checks.every_other(i.offsets)), some, reach=i.reach)
     plan(desk.field(i.disparity), offsets, out, reach=i.reach)
-    return {"nearest": out}
+    return {"nearest": out, "some": some}
 
 
 def alignment(desk: Desk, i: SimpleNamespace) -> Outputs:
     """After that of another light field, and with another map, which leave no trace."""
-    plan = desk.kernels.alignment(
-        i.recorded.shape,
-        desk.field(i.offsets),
-        scale=i.scale,
-        gradient_weight=i.gradient_weight,
-        contrast=i.contrast,
-        robust=i.robust,
-        tolerance=i.tolerance,
-    )
+    names = "scale", "gradient_weight", "contrast", "robust", "tolerance"
+    shape, options = i.recorded.shape, {name: getattr(i, name) for name in names}
+    plan = desk.kernels.alignment(shape, desk.field(i.offsets), **options)
+    part = desk.kernels.alignment(shape, desk.field(sweep_checks.every_other(i.offsets)), **options, shared=plan)
     disparity, nearest = desk.field(i.disparity), desk.field(i.nearest)
     out = {name: desk.out(i.disparity.shape) for name in ("curvature", "slope")}
+    of_some = {f"{name} of some": desk.out(i.disparity.shape) for name in out}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
     plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
     plan(disparity, nearest, *out.values())
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan(desk.field(i.disparity[::-1, ::-1]), nearest, *out.values())
     plan(disparity, nearest, *out.values())
-    return out
+    part(disparity, nearest, *of_some.values())
+    return out | of_some
 
 
 def nlm_ratio(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -256,14 +257,17 @@ def near_a_decision(i: SimpleNamespace) -> Values:
 
 def nearest_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
     """Disparities are copied: all must be the same bits, but for those to which a doubtful one may come near."""
-    differs = got["nearest"] != want["nearest"]
-    if not i.exact:
-        doubtful = near_a_rounding(i)
-        assert doubtful.mean() < 0.05, "too much is undecided: the check says little"
-        decided = ~np.isin(want["nearest"], i.disparity[doubtful.any(0)])
-        decided &= ~np.isin(got["nearest"], i.disparity[doubtful.any(0)])
-        differs &= decided
-    return {"nearest": float(differs.mean())}
+    errors = {}
+    for name in want:
+        differs = got[name] != want[name]
+        if not i.exact:
+            doubtful = near_a_rounding(i)
+            assert doubtful.mean() < 0.05, "too much is undecided: the check says little"
+            decided = ~np.isin(want[name], i.disparity[doubtful.any(0)])
+            decided &= ~np.isin(got[name], i.disparity[doubtful.any(0)])
+            differs &= decided
+        errors[name] = float(differs.mean())
+    return errors
 
 
 def alignment_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
@@ -272,8 +276,11 @@ def alignment_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleN
     if not i.exact:
         clear = ~near_a_decision(i)
         assert clear.mean() > 0.95, "too much is undecided: the check says little"
-    largest = float(np.abs(want["curvature"]).max())
-    least = {"curvature": largest, "slope": max(float(np.abs(want["slope"]).max()), 0.1 * largest)}
+    least = {}
+    for views in ("", " of some"):
+        largest = float(np.abs(want[f"curvature{views}"]).max())
+        least[f"curvature{views}"] = largest
+        least[f"slope{views}"] = max(float(np.abs(want[f"slope{views}"]).max()), 0.1 * largest)
     return {name: largest_error(got[name][clear], want[name][clear], least[name]) for name in want}
 
 

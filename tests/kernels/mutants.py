@@ -106,17 +106,17 @@ def _name(node: Any) -> bool:
 
 
 def _kept(node: Any) -> bool:
-    """Keep the first value that attributes of the object were set to."""
+    """Keep the first value that attributes of an object were set to."""
     targets = node.targets[0].elts if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple) else ()
     targets = targets or (node.targets[:1] if isinstance(node, ast.Assign) else ())
     if not targets or not all(isinstance(target, ast.Attribute) for target in targets):
         return False
-    names = [ast.unparse(target).removeprefix("self.") for target in targets]
+    names = [f"{ast.unparse(target.value)}, {target.attr!r}" for target in targets]
     values = node.value.elts if len(targets) > 1 and isinstance(node.value, ast.Tuple) else [node.value]
     if len(values) != len(names):
         return False
     pairs = zip(names, values, strict=True)
-    kept = [ast.parse(f"getattr(self, {name!r}, {ast.unparse(value)})", mode="eval").body for name, value in pairs]
+    kept = [ast.parse(f"getattr({name}, {ast.unparse(value)})", mode="eval").body for name, value in pairs]
     node.value = kept[0] if len(kept) == 1 else ast.Tuple(kept, ast.Load())
     return True
 

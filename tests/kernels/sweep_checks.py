@@ -116,7 +116,12 @@ def surfaces(shape: tuple[int, ...], limits: NDArray[np.float64], rng: np.random
     return np.where(rng.random(shape) < 0.1, -1e6, nearest).astype(np.float32)
 
 
-VOLUMES = "view_sets", "seen", "intensities"
+def every_other(offsets: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Offsets [n, 2] with NaN for every other view, beginning with the second."""
+    return np.where(np.arange(len(offsets))[:, None] % 2, np.float32(np.nan), offsets)
+
+
+VOLUMES = "view_sets", "seen", "intensities", "some", "seen by some"
 INTENSITY_TRUNCATION = 0.12  # of the last one
 
 
@@ -133,17 +138,21 @@ def planned(
     preference: float,
     tolerance: float,
     least: int,
+    shared: PlaneSweep | None = None,
     **cost: float,
 ) -> tuple[PlaneSweep, SweepCost]:
     """The sweep and the cost that the options of a case describe."""
     views = ViewSets(offsets, view_sets, preference, tolerance, least)
-    return kernels.plane_sweep(shape, views, Disparities(first, step, count), scale=scale), SweepCost(**cost)
+    plan = kernels.plane_sweep(shape, views, Disparities(first, step, count), scale=scale, shared=shared)
+    return plan, SweepCost(**cost)
 
 
 def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
-    """All volumes after those of another light field, which leave no trace."""
+    """All volumes after those of another light field, which leave no trace; and those of every other view."""
     offsets, view_sets = desk.field(i.offsets), desk.field(i.view_sets)
     plan, cost = planned(desk.kernels, i.recorded.shape, offsets, view_sets, **i.options)
+    offsets = desk.field(every_other(i.offsets))
+    part, _ = planned(desk.kernels, i.recorded.shape, offsets, view_sets, **i.options, shared=plan)
     intensities = SweepCost(INTENSITY_TRUNCATION, softness=cost.softness)
     shape = (i.options["count"], *i.image.shape[:2])
     out = {name: desk.out(shape) for name in VOLUMES}
@@ -156,6 +165,9 @@ def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     plan.by_view_sets(cost, out["view_sets"])
     plan.by_visibility(desk.field(i.nearest), cost, out["seen"])
     plan.by_visibility(desk.field(i.nearest), intensities, out["intensities"])
+    part.by_view_sets(cost, out["some"])
+    left_out = np.isnan(every_other(i.offsets))[:, :1, None]
+    part.by_visibility(desk.field(np.where(left_out, np.nan, i.nearest)), cost, out["seen by some"])
     return out
 
 

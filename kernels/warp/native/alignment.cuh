@@ -97,7 +97,7 @@ void align(
     auto for_views = [&](auto work) {
         for (int n = 0; n < count; ++n) {
             const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
-            if (du * du + dv * dv <= NEAR * NEAR) continue;  // the reference
+            if (!(du * du + dv * dv > NEAR * NEAR)) continue;  // the reference, or NaN
             // The shift is split before the column is added: a small number keeps its digits.
             const float shift_x = -d * du, shift_y = -d * dv, whole_x = floorf(shift_x), whole_y = floorf(shift_y);
             const float column = (float)x + whole_x, row = (float)y + whole_y;

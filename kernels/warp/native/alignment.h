@@ -56,9 +56,9 @@ void align(
             parts[i] = (inside & seen & valid) ? 1.f : 0.f;
         }
     };
-    auto is_reference = [&](int n) {
+    auto is_left_out = [&](int n) {  // the reference, or NaN
         const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
-        return du * du + dv * dv <= NEAR * NEAR;
+        return !(du * du + dv * dv > NEAR * NEAR);
     };
 
     for (int begin = 0; begin < width; begin += CHUNK) {
@@ -86,7 +86,7 @@ void align(
             uu[i] = uv[i] = vv[i] = 0.f;
         }
         for (int n = 0; n < count; ++n) {
-            if (is_reference(n)) continue;
+            if (is_left_out(n)) continue;
             land(n, begin, many);
             const Word* const row1 = recorded + n * size;
             const Word* const row0 = row1 - wide;
@@ -125,7 +125,7 @@ void align(
             for (int j = 0; j < 3; ++j)
                 for (int c = 0; c < CHANNELS; ++c) mean[j][c][i] /= sum_k[i];
         for (int n = 0; n < count; ++n) {
-            if (is_reference(n)) continue;
+            if (is_left_out(n)) continue;
             const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
             land(n, begin, many);
             const Word* const row2 = recorded + n * size;

@@ -20,8 +20,11 @@ void pack(int tid, Array1<Stored> views, Array1<float> valid, Array1<Kept> kept_
     kept_out.data[tid] = to;
 }
 
-// Mark a pixel with the first disparity past the surface; what does not count has a mark past all of them.
-void mark(int tid, Array1<Kept> views, Array1<float> nearest, Array1<float> limits, Array1<uint16> marks_out) {
+// Mark a pixel of a view in `order` with the first disparity past the surface; what does not count has a mark past all.
+void mark(
+    int tid, Array1<Kept> views, Array1<float> nearest, Array1<int> order, int plane, Array1<float> limits,
+    Array1<uint16> marks_out) {
+    const size_t at = (size_t)order.data[tid / plane] * plane + tid % plane;
     // The limits are as far apart, but for rounding.
     const int count = limits.shape[0];
     const float lowest = limits.data[0], per_unit = count > 1 ? (count - 1) / (limits.data[count - 1] - lowest) : 0.f;
@@ -31,7 +34,7 @@ void mark(int tid, Array1<Kept> views, Array1<float> nearest, Array1<float> limi
         while (k < count && surface > limits.data[k]) ++k;
         return k;
     };
-    marks_out.data[tid] = (float)views.data[tid].c[PAD - 1] != 0.f ? first_past(nearest.data[tid]) : 0xffff;
+    marks_out.data[at] = (float)views.data[at].c[PAD - 1] != 0.f ? first_past(nearest.data[at]) : 0xffff;
 }
 
 // Sweep a strip.

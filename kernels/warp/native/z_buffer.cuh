@@ -12,7 +12,7 @@ void land(int tid, Array2<float> disparity, Array1<vec2f> offsets, int count, in
     const int bits = __float_as_int(d), wide = width + 2 * BORDER, high = disparity.shape[0] + 2 * BORDER;
     const unsigned key = bits < 0 ? ~(unsigned)bits : (unsigned)bits | 0x80000000u;
     for (int n = 0; n < count; ++n) {
-        // The shift is split before the column is added: a small number keeps its digits.
+        // NaN lands nowhere. The shift is split before the column is added: a small number keeps its digits.
         const float shift_x = -d * offsets.data[n].c[0], shift_y = -d * offsets.data[n].c[1];
         const float whole_x = floorf(shift_x), whole_y = floorf(shift_y);
         const float to_x = whole_x + (shift_x - whole_x >= 0.5f ? 1.f : 0.f) + (float)(x + BORDER);
@@ -23,11 +23,12 @@ void land(int tid, Array2<float> disparity, Array1<vec2f> offsets, int count, in
 }
 
 // The nearest disparity around a pixel of each view; one pixel farther out where nothing is.
-void look_around(int tid, Array1<uint32> keys, int width, Array3<float> nearest_out) {
+void look_around(int tid, Array1<uint32> keys, Array1<vec2f> offsets, int width, Array3<float> nearest_out) {
     const int y = tid / width, x = tid - y * width;
     constexpr int SIDE = 2 * BORDER + 1;
     const int height = nearest_out.shape[1], wide = width + SIDE - 1;
     for (int n = 0; n < nearest_out.shape[0]; ++n) {
+        if (isnan(offsets.data[n].c[0])) continue;
         const unsigned* const front = keys.data + ((size_t)n * (height + SIDE - 1) + y) * wide + x;
         unsigned key = 0u;
         #pragma unroll

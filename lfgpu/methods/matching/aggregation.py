@@ -122,7 +122,7 @@ class Learned(Aggregation):
         if are_in_windows(layout.offsets, frame.bounds):
             self._windows = Windows(frame)
         self.image, self.factor = self._network.image, self._network.factor
-        views.on_load(lambda *_: self._load(selection))
+        self._selection = selection
         self._lowest = arena.number(lambda: padded_disparities(frame.bounds, reach).first)
         self._first = arena.field("first of the network", frame.size)
         self.confidence, self.variance = (
@@ -134,6 +134,7 @@ class Learned(Aggregation):
         assert self.confidence is not None
         assert self.variance is not None
         kernels, windows = self._kernels, self._windows
+        self._network.load(*self._selection.of(*self._frame.used))
         outputs = {"disparity_out": disparity_out, "probability_out": self._probability}
         outputs["deviation_out"] = self._deviation
         kernels.fill(self._lowest, self._first)
@@ -142,6 +143,7 @@ class Learned(Aggregation):
         if windows is not None:
             step, weights = windows.step, windows.weights
             windows.begin(disparity_out, self._first)
+            windows.network.load(*self._frame.used)
             windows.network(self._first, step=step, **outputs)
         kernels.judge_peak(
             self._probability,
@@ -153,12 +155,6 @@ class Learned(Aggregation):
             confidence_out=self.confidence,
             variance_out=self.variance,
         )
-
-    def _load(self, selection: Selection) -> None:
-        """Take the views of the frame."""
-        self._network.load(*selection.of(*self._frame.used))
-        if self._windows is not None:
-            self._windows.network.load(*self._frame.used)
 
 
 class Windows:

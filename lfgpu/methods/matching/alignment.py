@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from lfgpu.contract import Array, Scalar
-from lfgpu.data.layout import ViewLayout
+from lfgpu import contract
+from lfgpu.contract import Array, Float64Array, Scalar
 from lfgpu.methods.base import Callback
 from lfgpu.methods.matching.frame import Frame
 from lfgpu.solvers.solution import Solution
@@ -31,10 +31,9 @@ class Alignment:
         self._floor = arena.number(lambda: tuning.least_curvature * frame.config.tuning.alignment.robust**2)
         self._stiffness = arena.number(lambda: tuning.stiffness * frame.config.tuning.alignment.robust**2)
         self._of_matched = arena.number(lambda: (tuning.matched * frame.config.tuning.alignment.robust) ** 2)
-        self._last = _Step(frame, frame.layout)
-        self._first = self._last
+        self._last = self._first = _Step(frame, frame.layout.offsets)
         if frame.compared_layout is not frame.layout and not frame.is_wide:
-            self._first = _Step(frame, frame.compared_layout)
+            self._first = _Step(frame, frame.compared_offsets, self._last)
         self.moves = [arena.device.scalar(0.0) for _ in range(config.alignment.iterations)]
         """Sums over the squares of each step."""
         self.curvature = arena.field("curvature", frame.size)
@@ -46,8 +45,6 @@ class Alignment:
     def load(self) -> None:
         """Take the views of a frame."""
         self._last.align.load(self._frame.image, *self._frame.used)
-        if self._first is not self._last:
-            self._first.align.load(self._frame.image, *self._frame.thinned)
 
     def run(
         self,
@@ -177,19 +174,30 @@ class Alignment:
 
 
 class _Step:
-    """A step over the views of one layout: which of them see a pixel, and how well these agree."""
+    """A step over some of the used views: which of them see a pixel, and how well these agree.
 
-    def __init__(self, frame: Frame, layout: ViewLayout) -> None:
+    Parameters
+    ----------
+    frame
+        The views.
+    offsets
+        (du, dv) of each used view [n, 2], NaN if it is left out.
+    shared
+        A step over more views, which has them loaded. Default: None, the step loads all.
+    """
+
+    def __init__(self, frame: Frame, offsets: Float64Array, shared: _Step | None = None) -> None:
         arena, tuning = frame.arena, frame.config.tuning
-        self._hiding, self._offsets = frame.hiding, arena.device.field(layout.offsets)
-        self.align = arena.kernels.alignment(
-            layout.shape,
+        self._hiding, self._offsets = frame.hiding, arena.device.field(offsets)
+        self.align: contract.Alignment = arena.kernels.alignment(
+            frame.layout.shape,
             self._offsets,
-            scale=layout.scale,
+            scale=frame.layout.scale,
             gradient_weight=tuning.alignment.gradient_weight,
             contrast=arena.number(lambda: frame.config.tuning.alignment.contrast),
             robust=arena.number(lambda: frame.config.tuning.alignment.robust),
             tolerance=tuning.sweep.tolerance / frame.layout.farthest,
+            shared=None if shared is None else shared.align,
         )
         with arena.scratch() as scratch:
             self._nearest = scratch.field(frame.layout.shape[:3])

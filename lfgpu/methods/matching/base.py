@@ -14,22 +14,25 @@ from lfgpu.contract import Array, KernelSet
 
 
 class Cost(Protocol):
-    """A cost of the views of a sweep. `SweptViews.on_load` gives it the views of each frame."""
+    """A cost of the views of a sweep. `Frame.on_load` gives it the views of each frame."""
 
     def by_view_sets(self, volume_out: Array) -> None:
         """Costs [l, y, x] over all views and over partial sets of them, whichever agree best."""
 
     def by_visibility(self, nearest: Array, volume_out: Array) -> None:
-        """Costs [l, y, x] over the views that see a pixel past the nearest surface in them, `nearest` [n, y, x]."""
+        """Costs [l, y, x] over the views that see a pixel past the nearest surface in them, `nearest` [n, y, x].
+
+        n counts all compared views; of those that the sweep leaves out, `nearest` holds anything.
+        """
 
 
 @dataclass(frozen=True, eq=False)
 class Swept:
-    """Views and costs that a sweep hands to its aggregation."""
+    """Surfaces and costs that a sweep hands to its aggregation."""
 
-    views: Array  # views [n, y, x, c] of the sweep
-    valid: Array | None  # masks [n, y, x]
-    nearest: Array | None  # nearest surface in each view, [n, y, x], by the map so far; None in the first sweep
+    nearest: (
+        Array | None
+    )  # nearest surface in each compared view, [n, y, x], by the map so far; None in the first sweep
     volume: Array | None  # costs [l, y, x], which may be overwritten; None if `Aggregation.has_own_costs`
     expect: Callable[[Array], None] | None = None
     """Changes costs [l, y, x] for what is known beforehand, such as the last map of a stream."""
@@ -40,11 +43,11 @@ class Aggregation(ABC):
 
     One is made for each row of the table of sweeps. `SweptViews.frame` has the arena, size, disparities, parameters,
     reference image and weights of like pixels. An aggregation with costs of its own, at disparities of its own or for
-    sets of views, plans plane sweeps over `SweptViews.layout` and has them loaded by `SweptViews.on_load`.
+    sets of views, takes the views from `Frame.used`, or has them from `Frame.on_load`.
     """
 
     has_own_costs: ClassVar[bool] = False
-    """True if the aggregation computes costs itself: it reads `Swept.views`, and `Swept.volume` is None."""
+    """True if the aggregation computes costs itself: `Swept.volume` is None."""
 
     evidence: tuple[Array, Array] | None = None
     """Costs and path costs, fields [l, y, x] after each call, by which the map is judged; None if it judges itself."""

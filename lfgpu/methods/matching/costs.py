@@ -12,7 +12,7 @@ from lfgpu.contract import REDUCTION, WHITE, Array, PlaneSweep, SweepCost, ViewS
 from lfgpu.methods.matching.base import Cost
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.disparities import view_sets
-from lfgpu.methods.matching.frame import Frame, SweptViews
+from lfgpu.methods.matching.frame import Frame, Selection, SweptViews
 from lfgpu.methods.prior import UNLIKE_ANY
 
 _BESIDE = 1  # reduced pixels from an edge that are beside it
@@ -68,10 +68,12 @@ class WithReducedViews(PlaneSweepCost):
         )
         self._reduced = frame.kernels.plane_sweep(small.shape, sets, frame.disparities, scale=1 / WHITE)
         frame.moving.append(self._reduced)
-        views.on_load(self._load)
+        self._selection = Selection(frame, "views to be reduced", views.chosen, layout, frame.stored)
+        frame.on_load(self._load)
 
     def _load(self, _: Array, views: Array, valid: Array | None) -> None:
-        """Reduce views [n, y, x, c], as stored, with their masks [n, y, x]."""
+        """Reduce some of the compared views [n, y, x, c], as stored, with their masks [n, y, x]."""
+        views, valid = self._selection.of(views, valid)
         kernels, kept = self._kernels, self._valid if valid is not None else None
         kernels.reduce_views(views, valid, scale=self._scale, views_out=self._views, valid_out=kept)
         kernels.intensities(self._views, self._reference, kept, scale=1 / WHITE, fill=UNLIKE_ANY, image_out=self._image)

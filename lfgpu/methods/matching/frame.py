@@ -16,7 +16,7 @@ from lfgpu.data.layout import ViewLayout
 from lfgpu.methods.arena import Arena
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.disparities import compared_disparities, view_sets
-from lfgpu.methods.matching.views import VIEWS, ChosenViews
+from lfgpu.methods.matching.views import VIEWS, ChosenViews, offsets_of
 from lfgpu.methods.prior import UNLIKE_ANY, NonLocalMeans
 from lfgpu.methods.sections import PriorConfig
 
@@ -89,6 +89,8 @@ class Frame:
         layout, image = chosen.used, (*chosen.used.size, chosen.used.channels)
         self.arena, self.kernels, self.config, self.bounds = arena, arena.kernels, config, bounds
         self.layout, self.compared_layout, self.size = layout, chosen.compared, layout.size
+        self.compared_offsets = offsets_of(layout, chosen.chosen)
+        """(du, dv) of each used view [n, 2], NaN if it is not compared."""
         room = 1 if arena.changing is None else _ROOM["gpu" if arena.device.is_gpu else "cpu"]
         self._multiple = multiple or room
         self.reach = chosen.reach
@@ -116,22 +118,19 @@ class Frame:
         self.scale, self.compared_image = layout.scale, self.image
         self._given = Selection(self, "used views", chosen.given, layout, layout.dtype)
         self._thinned = Selection(self, "compared views", chosen.chosen, chosen.compared, layout.dtype)
-        self._smoothing, self._stored = deviation, layout.dtype
+        self._smoothing, self.stored = deviation, layout.dtype
         self._deviation = None if deviation is None else arena.number(lambda: self._smoothing or 0.0)
         if deviation is not None:
             self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
-            self._stored = np.dtype(np.uint16)
+            self.stored = np.dtype(np.uint16)
             self._smoothed = arena.image("smoothed views", chosen.compared.shape, np.uint16)
         self.hiding = arena.kernels.z_buffer(self.size, arena.device.name, reach=WIDEST)
         """Finds the nearest surface in each view, with surfaces widened by up to `WIDEST` pixels."""
         self._priors: dict[int, NonLocalMeans] = {}
         self._swept: dict[tuple[int, ...], SweptViews] = {}
+        self._loads: list[Load] = []
         self.used: Loaded
         """The used views, as stored."""
-        self.thinned: Loaded
-        """The compared views, as stored."""
-        self.compared: Loaded
-        """The compared views, smoothed if they have grain; `scale` turns their values into intensities."""
 
     def follow(self, bounds: tuple[float, float], config: MatchingConfig, *, deviation: float | None) -> bool:
         """Go on with other bounds, and parameters and smoothing for another noise; tell whether that is possible."""
@@ -159,17 +158,23 @@ class Frame:
         )
         for prior in self._priors.values():
             prior.load(self.image)
-        self.thinned = self.compared = self._thinned.of(*self.used)
+        views, valid = self._thinned.of(*self.used)
         if self._deviation is not None:
-            views, valid = self.thinned
             kernels.smooth_views(views, valid, scale=layout.scale, deviation=self._deviation, views_out=self._smoothed)
             reference = self.compared_layout.reference
             kernels.intensities(
                 self._smoothed, reference, valid, scale=self.scale, fill=UNLIKE_ANY, image_out=self.compared_image
             )
-            self.compared = self._smoothed, valid
-        for swept in self._swept.values():
-            swept.is_loaded = False
+            views = self._smoothed
+        for load in self._loads:
+            load(self.compared_image, views, valid)
+
+    def on_load(self, load: Load) -> None:
+        """Have `load` called for each frame, with the compared views, smoothed if they have grain.
+
+        `scale` turns their values, which are of the type `stored`, into intensities.
+        """
+        self._loads.append(load)
 
     def like_pixels(self, window: int) -> NonLocalMeans:
         """Return the weights of like pixels in a window around each pixel of the reference image."""
@@ -187,12 +192,9 @@ class Frame:
 
     def swept(self, rule: str) -> SweptViews:
         """Return the compared views that a row of `VIEWS` chooses; rules that choose the same views share them."""
-        layout = self.compared_layout
-        chosen = tuple(VIEWS[rule](layout, self.config.sweep.views))
+        chosen = tuple(VIEWS[rule](self.compared_layout, self.config.sweep.views))
         if chosen not in self._swept:
-            some = None if len(chosen) == layout.count else list(chosen)
-            name = f"views {len(self._swept)}"
-            self._swept[chosen] = SweptViews(self, Selection(self, name, some, layout.subset(chosen), self._stored))
+            self._swept[chosen] = SweptViews(self, chosen)
         return self._swept[chosen]
 
 
@@ -219,34 +221,37 @@ class Selection:
 
 
 class SweptViews:
-    """The views of a sweep, and the operations that compare them."""
+    """The views of a sweep, some of the compared ones, and the operations that compare them."""
 
-    def __init__(self, frame: Frame, selection: Selection) -> None:
-        self.frame, self.layout, self._selection = frame, selection.layout, selection
-        self.is_loaded = False
-        self._loads: list[Load] = []
+    def __init__(self, frame: Frame, chosen: tuple[int, ...]) -> None:
+        self.frame, self.layout = frame, frame.compared_layout.subset(chosen)
+        self.chosen = None if len(chosen) == frame.compared_layout.count else list(chosen)
+        """The indices of the views among the compared ones; None if they are all of these."""
         self._costs: dict[str, Any] = {}
-        self._field = frame.arena.device.field
+        self._offsets = offsets_of(frame.compared_layout, self.chosen)
 
     @cached_property
     def offsets(self) -> Array:
-        """(du, dv) of each view, a field [n, 2] in view steps."""
-        return self._field(self.layout.offsets)
+        """(du, dv) of each compared view, a field [n, 2] in view steps; NaN if the sweep leaves it out."""
+        return self.frame.arena.device.field(self._offsets)
 
     @cached_property
     def sweep(self) -> PlaneSweep:
-        """The plane sweep over these views, which costs share."""
-        frame, offsets, tuning = self.frame, self.layout.offsets, self.frame.config.tuning.sweep
+        """The plane sweep over these views, which costs share. All sweeps share the views that are loaded."""
+        frame, tuning = self.frame, self.frame.config.tuning.sweep
+        shared = None if self.chosen is None else frame.swept("all").sweep
         views = ViewSets(
             self.offsets,
-            self._field(view_sets(offsets, tuning.view_set_angle)),
+            frame.arena.device.field(view_sets(self._offsets, tuning.view_set_angle)),
             preference=tuning.view_set_penalty,
             tolerance=tuning.tolerance / self.layout.farthest,
-            least=max(1, math.ceil(tuning.min_share * (len(offsets) - 1))),
+            least=max(1, math.ceil(tuning.min_share * (self.layout.count - 1))),
         )
-        sweep = frame.kernels.plane_sweep(self.layout.shape, views, frame.disparities, scale=frame.scale)
+        shape = frame.compared_layout.shape
+        sweep = frame.kernels.plane_sweep(shape, views, frame.disparities, scale=frame.scale, shared=shared)
         frame.moving.append(sweep)
-        self.on_load(sweep.load)
+        if shared is None:
+            frame.on_load(sweep.load)
         return sweep
 
     def cost(self, name: str, plan: Callable[[SweptViews], Any]) -> Any:
@@ -254,16 +259,3 @@ class SweptViews:
         if name not in self._costs:
             self._costs[name] = plan(self)
         return self._costs[name]
-
-    def on_load(self, load: Load) -> None:
-        """Have `load` called once for each frame, before its first sweep over these views."""
-        self._loads.append(load)
-
-    def load(self) -> None:
-        """Load the views of the frame, unless they are loaded."""
-        if self.is_loaded:
-            return
-        self.is_loaded = True
-        self.loaded = self._selection.of(*self.frame.compared)
-        for load in self._loads:
-            load(self.frame.compared_image, *self.loaded)

@@ -143,8 +143,8 @@ class _FirstSweep:
     ) -> None:
         arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout, layout.farthest)
         self._frame = Frame(arena, chosen, bounds, config, deviation=deviation)
-        self._swept, self._kernels = self._frame.swept("all"), device.kernels
-        self._cost = PlaneSweepCost(self._swept, first_cost(config))
+        self._kernels = device.kernels
+        self._cost = PlaneSweepCost(self._frame.swept("all"), first_cost(config))
         self.views = device.zeros_image(layout.shape, layout.dtype.type)
         """The views [n, y, x, c] that it compares; whoever calls it writes them."""
         self._volume = device.zeros((self._frame.disparities.slices, *layout.size))
@@ -159,7 +159,6 @@ class _FirstSweep:
     def __call__(self) -> float:
         kernels, volume, least, spread = self._kernels, self._volume, self._least, self._spread
         self._frame.load(self.views)
-        self._swept.load()
         self._cost.by_view_sets(volume)
         compared = self._frame.disparities
         if compared.count < compared.slices:

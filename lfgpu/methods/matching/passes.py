@@ -96,14 +96,13 @@ class PlannedSweep:
         self, surface: Array | None, disparity_out: Array, expect: Callable[[Array], None] | None = None
     ) -> None:
         """Find a map [y, x]; `surface` [y, x] is what hides anything in the views, `expect` as in `Swept`."""
-        self._views.load()
         if self._nearest is not None:
             self._hiding(surface, self._views.offsets, self._nearest, reach=self.row.widening)
         if self._cost is not None and self._nearest is not None:
             self._cost.by_visibility(self._nearest, self._volume)
         elif self._cost is not None:
             self._cost.by_view_sets(self._volume)
-        self.aggregation(Swept(*self._views.loaded, self._nearest, self._volume, expect), disparity_out)
+        self.aggregation(Swept(self._nearest, self._volume, expect), disparity_out)
 
 
 class Sweeps:

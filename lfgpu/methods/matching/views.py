@@ -107,6 +107,15 @@ def chosen_views(layout: ViewLayout, bounds: tuple[float, float], config: SweepC
     )
 
 
+def offsets_of(layout: ViewLayout, chosen: list[int] | None) -> Float64Array:
+    """Return (du, dv) of the views of a layout [n, 2], NaN for those that are not chosen; None chooses all."""
+    if chosen is None:
+        return layout.offsets
+    offsets = np.full_like(layout.offsets, np.nan)
+    offsets[chosen] = layout.offsets[chosen]
+    return offsets
+
+
 def are_around(offsets: Float64Array) -> bool:
     """Tell whether views at `offsets` [n, 2] surround the reference: their directions leave no half of a turn open."""
     du, dv = offsets[np.hypot(*offsets.T) > _ON_PLACE].T
