@@ -15,7 +15,21 @@ from .edges import edge_weights
 from .facets import facets, planes
 from .lbfgs import lbfgs
 from .measuring import quantile, window_grain
-from .memory import clear, devices, field, image, number, numpy, read, scalar, shared, upload, zeros, zeros_image
+from .memory import (
+    clear,
+    devices,
+    field,
+    image,
+    number,
+    numpy,
+    read,
+    scalar,
+    shared,
+    upload,
+    within,
+    zeros,
+    zeros_image,
+)
 from .nlm import nlm_laplacian, nlm_neighbors, nlm_weights
 from .nlm_regression import nlm_on_surface, nlm_plane, nlm_ratio
 from .occlusion import splat_z_buffered

@@ -86,7 +86,7 @@ class plane_sweep:
         self._preference, self._tolerance, self._least = views.preference, views.tolerance, views.least
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
-        self._loaded.image, self._loaded.recorded, self._loaded.valid = image, recorded, valid
+        self._loaded.image, self._loaded.recorded, self._loaded.valid = image, recorded.copy(), valid
 
     def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:
         size = (len(self._view_sets), *self._loaded.image.shape[:2])

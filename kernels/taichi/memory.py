@@ -139,6 +139,10 @@ def zeros(shape: Sequence[int], device: str) -> DeviceArray:
     return clear(empty(shape))
 
 
+def within(home: DeviceArray, shape: Sequence[int], stored: Any = None) -> None:
+    return None
+
+
 def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> DeviceArray:
     return image(np.zeros(tuple(shape), stored), device)
 

@@ -167,7 +167,7 @@ def unevenness(disparity: Any, *, bend_out: Any, relief_out: Any) -> None:
         _find_unevenness(disparity, bend_out, relief_out)
         return
     (height, width), find = disparity.shape, _cpu_kernel("find_unevenness")
-    room = room_for(disparity.device, height, 5 * (width + 2 * _AROUND))
+    room = room_for(disparity.device, 5 * (width + 2 * _AROUND))
     launch_slices(find, height, [disparity], bend_out, relief_out, room=room)
 
 

@@ -36,7 +36,7 @@ def nlm_average(weights: Any, volume: Any, *, window: int, average_out: Any) -> 
         average = _pixels_kernel(window // 2)
         launch(average, dim, [weights, volume], [average_out], device=device, block_dim=block)
         return
-    room = room_for(device, height, window * window * _BLOCK)
+    room = room_for(device, window * window * _BLOCK)
     average = kernel("cost_volume.h", "average_rows", RADIUS=window // 2, SIDE=window, BLOCK=_BLOCK)
     launch_slices(average, height, [weights, volume], average_out, room=room)
 

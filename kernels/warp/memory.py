@@ -280,7 +280,18 @@ def zeros(shape: Sequence[int], device: str) -> Any:
 
 def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> Any:
     start()
-    return _zeros(shape[:-1], pixel_type(shape[-1], _SCALARS[np.dtype(stored).type]), device)
+    return _zeros(shape[:-1], _image_type(shape, stored), device)
+
+
+def _image_type(shape: Sequence[int], stored: Any) -> Any:
+    return pixel_type(shape[-1], _SCALARS[np.dtype(stored).type])
+
+
+def within(home: Any, shape: Sequence[int], stored: Any = None) -> Any:
+    size, dtype = (shape, wp.float32) if stored is None else (shape[:-1], _image_type(shape, stored))
+    found = wp.array(ptr=home.ptr, dtype=dtype, shape=tuple(size), device=home.device, copy=False)
+    found.lfgpu_home = home  # whose memory it is
+    return found
 
 
 def _zeros(shape: Sequence[int], dtype: Any, device: str) -> Any:

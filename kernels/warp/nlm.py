@@ -135,7 +135,7 @@ def nlm_weights(
     if place.is_cpu:
         on_cpu = kernel("nlm.h", "weigh_neighbors", FEATURES=3 * channels)
         planes = wp.empty((3 * channels, height, width), dtype=float, device=place)
-        room = room_for(place, len(steps), width + 2 * (patch // 2) + (1 + patch) * width)
+        room = room_for(place, width + 2 * (patch // 2) + (1 + patch) * width)
 
         def weigh_planes(image: Any, weights_out: Any) -> None:
             _features(channels, True)(image, *color, gradient, planes)

@@ -112,7 +112,7 @@ class plane_sweep:
         self.move(disparities)
         if self._device.is_cpu:
             channels = self._shape[3]
-            self._room = room_for(self._device, self._shape[1], cpu_plane_sweep.room_of(channels, self._groups))
+            self._room = room_for(self._device, cpu_plane_sweep.room_of(channels, self._groups))
 
     def move(self, disparities: Disparities) -> None:
         shifts = sweep_shifts(self._places, disparities)

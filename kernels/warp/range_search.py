@@ -15,7 +15,7 @@ from lfgpu.contract import UNSEEN, Details, Disparities, sweep_shifts
 
 from .memory import pixel_type, start
 from .native_code import kernel
-from .threads import check_size, in_slices, launch, launch_rows, load, slices
+from .threads import Rooms, check_size, in_slices, launch, launch_rows, load
 from .views import indices
 
 _BLOCK = 128  # columns that a CPU works on at a time
@@ -87,8 +87,8 @@ class side_costs:
         place = self._shifts.device
         self._differences, self._costs = (_kernel(name, _block(place)) for name in ("add_differences", "find_costs"))
         self._at_once = 1 if place.is_cpu else min(_AT_ONCE, self._count)
-        room = (len(slices(place, self._count)), self._at_once * self._sides, self._height * self._width)
-        self._room = wp.empty(room, dtype=wp.vec2f, device=device)
+        size = 1, self._at_once * self._sides, self._height * self._width
+        self._rooms = Rooms(place, lambda: wp.empty(size, dtype=wp.vec2f, device=place))
         self._given: tuple[float, float] | None = None
 
     def __call__(self, details: Any, first: float, step: float, volume_out: Any) -> None:
@@ -105,7 +105,7 @@ class side_costs:
         def some(k: int, begin: int, end: int) -> None:
             for label in range(begin, end, self._at_once):
                 rows = min(self._at_once, end - label) * self._height
-                room = self._room[k : k + 1]
+                room = self._rooms[k]
                 compared = [details, self._reference, self._shifts, self._views, self._ends, label, 0, lanes]
                 launch(self._differences, rows * self._sides * lanes, compared, [room], device=place)
                 added = [room, self._ends, self._lines, label, 0, lanes]

@@ -62,7 +62,7 @@ def _on_cpu(inputs: list[Any], channels: int, dy: int, dx: int, sum_out: Any) ->
     (count, height, width), device = sum_out.shape, sum_out.device
     paths = width + abs(dx) * (height - 1) if dy else height
     blocks = -(-paths // _BLOCK)
-    room = room_for(device, blocks, (count + 1 + count * _CHUNK) * _BLOCK)
+    room = room_for(device, (count + 1 + count * _CHUNK) * _BLOCK)
     launch_slices(_blocks_kernel(channels), blocks, inputs, sum_out, room=room)
 
 

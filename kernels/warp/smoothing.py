@@ -12,7 +12,7 @@ from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE
 
 from .memory import pixel_type
 from .native_code import kernel
-from .threads import check_size, launch, launch_rows, launch_slices, once, room_for
+from .threads import check_size, launch, launch_rows, launch_slices, once, slices
 from .vector import given
 
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
@@ -57,8 +57,8 @@ def smooth_views(views: Any, valid: Any, *, scale: float, deviation: Any, views_
         launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=_THREADS)
         return
     wide = width + 2 * (SMOOTHING_REACH + 1) + _LANES
-    room = room_for(device, n * height, (_RING * (2 * channels + 2) + 1) * wide)
-    room.zero_()
+    parts = len(slices(device, n * height))
+    room = wp.zeros((parts, (_RING * (2 * channels + 2) + 1) * wide), dtype=float, device=device)
     smooth = kernel("smoothing.h", "smooth_rows", **_types(channels, stored), **_NUMBERS, RING=_RING, LANES=_LANES)
     launch_slices(smooth, n * height, [views, valid, scale, *given(deviation)], views_out, room=room)
 

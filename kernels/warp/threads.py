@@ -6,6 +6,7 @@ threads, so neither do the results.
 
 import ctypes
 import glob
+import itertools
 import os
 import re
 import shutil
@@ -253,15 +254,31 @@ def launch_rows(kernel: Any, inputs: list[Any], *outputs: Any, rows: int | None 
         in_slices(device, height, some_rows)
 
 
-def room_for(device: Any, count: int, floats: int) -> Any:
-    """Return memory for so many floats in each slice of range(count)."""
-    return wp.empty((len(slices(device, count)), floats), dtype=float, device=device)
+class Rooms:
+    """Memory that a thread needs while it works on a slice, by slice; a thread uses the same for all its slices.
+
+    It is allocated when a thread of a CPU first needs it. Recorded slices may run side by side: each has its own.
+    """
+
+    def __init__(self, device: Any, make: Callable[[], Any]) -> None:
+        self._make, self._rooms = make, {} if device.is_cpu else {0: make()}
+
+    def __getitem__(self, part: int) -> Any:
+        index = part if is_recording() else getattr(_working, "index", 0)
+        if index not in self._rooms:
+            self._rooms[index] = self._make()
+        return self._rooms[index]
+
+
+def room_for(device: Any, floats: int) -> Rooms:
+    """Return memory for so many floats for each thread that works on slices."""
+    return Rooms(device, lambda: wp.empty(floats, dtype=float, device=device))
 
 
 def launch_slices(kernel: Any, count: int, inputs: list[Any], *outputs: Any, room: Any = None) -> None:
     """Launch kernel(*inputs, first, last, *outputs) for each slice of range(count), on a thread of a CPU.
 
-    Behind `last` a kernel that needs some has the slice's part of the `room`.
+    Behind `last` a kernel that needs some has the `room` of its slice.
     """
     device = outputs[0].device
     load(device, kernel)
@@ -364,7 +381,15 @@ def load(device: Any, *kernels: Any) -> None:
 
 @lru_cache(maxsize=1)
 def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu")
+    numbers = itertools.count()
+
+    def begin() -> None:
+        _working.index = next(numbers)
+
+    return ThreadPoolExecutor(threads, thread_name_prefix="lfgpu", initializer=begin)
+
+
+_working = threading.local()
 
 
 @cache

@@ -13,7 +13,7 @@ from lfgpu.contract import Normalization
 from .memory import pixel_type
 from .native_code import kernel
 from .pixels import Volume, pixelwise
-from .threads import check_size, in_slices, lanes, launch, launch_rows, load, once, slices
+from .threads import Rooms, check_size, in_slices, lanes, launch, launch_rows, load, once
 
 wp.set_module_options({"enable_backward": False})
 
@@ -139,7 +139,7 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
     (n, height, width, channels), place = shape, wp.get_device(device)
     batch = 1 if place.is_cpu else _BATCH
     kinds = *(pixel_type(channels),) * 2, *(pixel_type(1),) * 2, float
-    room = [[wp.empty((batch, height, width), dtype=kind, device=place) for kind in kinds] for _ in slices(place, n)]
+    rooms = Rooms(place, lambda: [wp.empty((batch, height, width), dtype=kind, device=place) for kind in kinds])
 
     def normalize(views: Any, valid: Any, detail_out: Any) -> None:
         kernels = _normalization_kernels(
@@ -154,7 +154,7 @@ def normalization(shape: Sequence[int], device: str, *, scale: float, sigma: flo
             launch(kernel, rows * columns, [*inputs, columns], outputs, device=place)
 
         def some_views(k: int, first: int, last: int) -> None:
-            sums, details, energy, energy_sums, shares = room[k]
+            sums, details, energy, energy_sums, shares = rooms[k]
             for start in range(first, last, batch):
                 end = min(start + batch, last)
                 some, mask = views[start:end], None if valid is None else valid[start:end]

@@ -1,7 +1,7 @@
 """The nearest disparities in each view, as `kernels/reference/alignment.py` defines them.
 
-The z-buffers have a border, so that what lands beyond the frame comes near, too. The plan has one for each slice of the
-views on a CPU, and as many as fit into the cache on a GPU.
+The z-buffers have a border, so that what lands beyond the frame comes near, too. The plan has one for each thread of a
+CPU, and as many as fit into the cache on a GPU.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,7 @@ from lfgpu.contract import ZBuffer
 
 from .native_code import kernel
 from .splat import as_offsets
-from .threads import check_size, in_slices, launch, load, slices
+from .threads import check_size, in_slices, launch, load, room_for
 
 _NOWHERE = -1e6  # the disparity of what nothing comes near
 _BUFFER = 20 * 2**20  # bytes
@@ -30,7 +30,7 @@ def z_buffer(size: Sequence[int], device: str, *, reach: int) -> ZBuffer:
     room = (height + 2 * reach + 2) * (width + 2 * reach + 2)
     if not place.is_cpu:
         return _gpu_z_buffer((height, width), room, place)
-    rooms = [wp.empty(room, dtype=float, device=place) for _ in slices(place, room)]
+    rooms = room_for(place, room)
 
     names, module = ("clear", "land", "look_around"), "lfgpu_z_buffer"
     clear, land, look_around = (kernel("z_buffer.h", name, module=module, NOWHERE=_NOWHERE) for name in names)

@@ -103,7 +103,10 @@ class PlaneSweep(Protocol):
     """
 
     def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
-        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None.
+
+        `recorded` is copied; the others stay as they are until the next call.
+        """
 
     def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:
         """volume [l, y, x]: the smallest of the mean costs over the view sets.

@@ -50,6 +50,12 @@ class Memory(Protocol):
     def zeros_image(self, shape: Sequence[int], device: str, stored: Any = np.float32) -> Array:
         """Return an image of zeros of the NumPy type `stored`; `shape` is [..., c]."""
 
+    def within(self, home: Array, shape: Sequence[int], stored: Any = None) -> Array | None:
+        """Return a field, or an image of the NumPy type `stored`, that lies in the memory of an array which is larger.
+
+        None where arrays of a backend cannot share memory.
+        """
+
     def clear(self, array_out: Array) -> Array:
         """Set a field or an image to zeros, and return it."""
 

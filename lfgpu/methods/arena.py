@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
@@ -22,7 +23,8 @@ class Arena:
     A named buffer keeps what is written into it. Who asks for the name of a buffer again gets the same one. Scratch is
     lent to a pass while the pass is constructed, and the pass may use it during its calls only. Passes whose scopes
     follow one another share it. A pass that calls another pass while its scratch holds something constructs that pass
-    inside its own scope: nested scopes share nothing.
+    inside its own scope: nested scopes share nothing. On a CPU, scratch may lie in that of another kind, if it fills a
+    quarter of it or more.
 
     If it `follows`, its numbers are scalars on the device where the backend has these, and `follow` changes them.
     """
@@ -33,7 +35,7 @@ class Arena:
         self._numbers = None if self.changing is None else self.changing.numbers(_MOST_NUMBERS, device.name)
         self._values: list[Callable[[], float]] = []
         self._named: dict[str, tuple[_Kind, Array]] = {}
-        self._free: dict[_Kind, list[Array]] = {}
+        self._free: list[tuple[_Kind, Array]] = []
         self._scopes: list[list[tuple[_Kind, Array]]] = []
 
     def field(self, name: str, shape: Sequence[int]) -> Array:
@@ -70,15 +72,20 @@ class Arena:
         try:
             yield Scratch(self)
         finally:
-            for kind, buffer in self._scopes.pop():
-                self._free.setdefault(kind, []).append(buffer)
+            self._free += self._scopes.pop()
 
     def lend(self, kind: _Kind) -> Array:
         """Lend a free buffer, or a new one, to the innermost scope."""
-        free = self._free.get(kind)
-        buffer = free.pop() if free else self._made(kind)
-        self._scopes[-1].append((kind, buffer))
-        return buffer
+        size, scope = _bytes(kind), self._scopes[-1]
+        for place, (other, home) in sorted(enumerate(self._free), key=lambda free: (free[1][0] != kind, -free[0])):
+            buffer = home if other == kind else None
+            if buffer is None and not self.device.is_gpu and size <= _bytes(other) <= 4 * size:
+                buffer = self.kernels.within(home, kind[0], np.dtype(kind[1]).type if kind[1] else None)
+            if buffer is not None:
+                scope.append(self._free.pop(place))
+                return buffer
+        scope.append((kind, self._made(kind)))
+        return scope[-1][1]
 
     def _kept(self, name: str, kind: _Kind) -> Array:
         if name not in self._named:
@@ -90,6 +97,11 @@ class Arena:
     def _made(self, kind: _Kind) -> Array:
         shape, stored = kind
         return self.device.zeros_image(shape, np.dtype(stored).type) if stored else self.device.zeros(shape)
+
+
+def _bytes(kind: _Kind) -> int:
+    shape, stored = kind
+    return math.prod(shape) * np.dtype(stored or np.float32).itemsize
 
 
 class Scratch:

@@ -16,11 +16,12 @@ import numpy as np
 
 from lfgpu.contract import Device
 from lfgpu.data.layout import ViewLayout
+from lfgpu.threads import get_threads
 
 _SIDE = 128  # pixels, width of the views of a dry run
 _HEIGHTS = 512, 1024  # pixels: volumes that hold a few rows hold fewer
 _FLOAT = 4  # bytes
-_SLICES = 16  # that work on a CPU is cut into, each with its own nearest surfaces
+_SLICES = 16  # at a time on a CPU, at most, each with its own nearest surfaces
 _STEP_COSTS = 8 * 2 * _FLOAT  # bytes: of the steps to a pixel in all directions, which a GPU keeps
 _SPARE_VOLUMES = 7  # of directions beside the first one, on a GPU that has room for them
 _NORMALISED = 16  # views that are normalised at a time on a GPU
@@ -84,6 +85,10 @@ class DryKernels:
         """Count an image."""
         return self._counted(shape, np.dtype(stored).itemsize)
 
+    def within(self, home: DryArray, shape: Sequence[int], stored: Any = None) -> DryArray:
+        """Count nothing."""
+        return DryArray(tuple(shape), np.dtype(stored or np.float32).itemsize)
+
     def field(self, values: np.ndarray, device: str) -> DryArray:
         """Count a field."""
         return self._counted(values.shape, _FLOAT)
@@ -119,7 +124,7 @@ class DryKernels:
 
     def z_buffer(self, size: Sequence[int], device: str, *, reach: int) -> DryOperation:
         """Count the surfaces of each slice of the work."""
-        return DryOperation() if self._on_gpu else self._count((_SLICES, *size), _FLOAT)
+        return DryOperation() if self._on_gpu else self._count((min(_SLICES, get_threads()), *size), _FLOAT)
 
     def alignment(self, shape: Sequence[int], offsets: Any, *, shared: Any = None, **numbers: float) -> DryOperation:
         """Count views that are not shared, each pixel with its mask, and the weights of gradients."""

@@ -110,7 +110,19 @@ def test_matrix_has_every_operation_of_the_contract() -> None:
     assert streams == checks.names_of(types.Streaming)
     covered = {str(operation) for operation in OPERATIONS} - {"memory", "image_memory"} - streams
     # What is in the two checks of memory, and what has checks of its own.
-    memory = {"field", "image", "zeros", "zeros_image", "clear", "scalar", "upload", "numpy", "number", "read"}
+    memory = {
+        "field",
+        "image",
+        "zeros",
+        "zeros_image",
+        "within",
+        "clear",
+        "scalar",
+        "upload",
+        "numpy",
+        "number",
+        "read",
+    }
     alone = {"repeat", "capture", "prepare", "shared"}
     assert contract == covered | memory | alone
 

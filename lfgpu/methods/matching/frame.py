@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from lfgpu.contract import WHITE, Array, Float32Array, PlaneSweep, ViewSets, bridged
 from lfgpu.data.layout import ViewLayout
-from lfgpu.methods.arena import Arena
+from lfgpu.methods.arena import Arena, Scratch
 from lfgpu.methods.matching.config import MatchingConfig
 from lfgpu.methods.matching.disparities import compared_disparities, view_sets
 from lfgpu.methods.matching.views import VIEWS, ChosenViews, offsets_of
@@ -117,13 +117,17 @@ class Frame:
         """The reference image [y, x, c], `UNLIKE_ANY` where it is invalid."""
         self.scale, self.compared_image = layout.scale, self.image
         self._given = Selection(self, "used views", chosen.given, layout, layout.dtype)
-        self._thinned = Selection(self, "compared views", chosen.chosen, chosen.compared, layout.dtype)
         self._smoothing, self.stored = deviation, layout.dtype
         self._deviation = None if deviation is None else arena.number(lambda: self._smoothing or 0.0)
         if deviation is not None:
             self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
             self.stored = np.dtype(np.uint16)
-            self._smoothed = arena.image("smoothed views", chosen.compared.shape, np.uint16)
+        with arena.scratch() as scratch:
+            scratch.field(layout.shape[:3])  # for nearest surfaces: what is needed while views load finds room in it
+        with arena.scratch() as scratch:
+            self._compared = Selection(self, "compared views", chosen.chosen, chosen.compared, layout.dtype, scratch)
+            if deviation is not None:
+                self._smoothed = scratch.image(chosen.compared.shape, np.uint16)
         self.hiding = arena.kernels.z_buffer(self.size, arena.device.name, reach=WIDEST)
         """Finds the nearest surface in each view, with surfaces widened by up to `WIDEST` pixels."""
         self._priors: dict[int, NonLocalMeans] = {}
@@ -158,7 +162,7 @@ class Frame:
         )
         for prior in self._priors.values():
             prior.load(self.image)
-        views, valid = self._thinned.of(*self.used)
+        views, valid = self._compared.of(*self.used)
         if self._deviation is not None:
             kernels.smooth_views(views, valid, scale=layout.scale, deviation=self._deviation, views_out=self._smoothed)
             reference = self.compared_layout.reference
@@ -199,14 +203,24 @@ class Frame:
 
 
 class Selection:
-    """Some views of a frame and their masks, copied on the device; all of them, if not `chosen`, are not copied."""
+    """Some views of a frame and their masks, copied on the device; all of them, if not `chosen`, are not copied.
+
+    The views are lent if there is `scratch` for them.
+    """
 
     def __init__(
-        self, frame: Frame, name: str, chosen: list[int] | None, layout: ViewLayout, stored: np.dtype[np.generic]
+        self,
+        frame: Frame,
+        name: str,
+        chosen: list[int] | None,
+        layout: ViewLayout,
+        stored: np.dtype[np.generic],
+        scratch: Scratch | None = None,
     ) -> None:
         self.layout, self._kernels, self._chosen, arena = layout, frame.kernels, chosen, frame.arena
         if chosen is not None:
-            self._views = arena.image(name, layout.shape, stored)
+            image = partial(arena.image, name) if scratch is None else scratch.image
+            self._views = image(layout.shape, stored)
             self._masks = arena.field(f"{name}, masks", layout.shape[:3]) if frame.is_masked else None
 
     def of(self, views: Array, valid: Array | None) -> Loaded:
