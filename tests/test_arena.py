@@ -1,5 +1,6 @@
 """The memory of a plan: what is lent, and that nothing reads what scratch held before."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -46,25 +47,40 @@ def test_scratch_of_another_kind_lies_in_what_it_fills_a_quarter_of() -> None:
     assert (kernels.numpy(home).ravel()[48:] == 0).all()
 
 
-@pytest.mark.parametrize("preset", ["surest", "accurate", "fast"])
-def test_maps_do_not_depend_on_what_scratch_held(preset: str, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(
+    ("preset", "widest", "is_masked"),
+    [("surest", 12, False), ("surest", 2, True), ("accurate", 12, True), ("learned", 12, False), ("fast", 12, True)],
+)
+def test_maps_do_not_depend_on_what_shares_scratch_or_what_it_held(
+    preset: str, widest: float, is_masked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lf = scenes.make("boxes", grid=(5, 5), size=(96, 96), disparity_range=(-widest, widest))
+    if is_masked:
+        lf = replace(lf, valid=np.random.default_rng(0).random(lf.views.shape[:-1]) > 0.1)
+
+    def planned() -> DepthPipeline:
+        return DepthPipeline(lf, config=preset, disparity_range=(-widest, widest), backend="warp", device="cpu")
+
     lent: list[Any] = []
     lend = Arena.lend
 
-    def remembered(arena: Arena, kind: Any) -> Any:
-        buffer = lend(arena, kind)
+    def remembered(arena: Arena, kind: Any, scope: Any) -> Any:
+        buffer = lend(arena, kind, scope)
         if arena.kernels.name == "warp":  # a dry run has an arena, too
             lent.append(buffer)
         return buffer
 
+    with monkeypatch.context() as patch:
+        patch.setattr(Arena, "lend", lambda arena, kind, scope: arena._made(kind))
+        want = planned().estimate()
     monkeypatch.setattr(Arena, "lend", remembered)
-    lf = scenes.make("boxes", grid=(5, 5), size=(48, 64))
-    pipeline = DepthPipeline(lf, config=preset, backend="warp", device="cpu")
-    want = pipeline.estimate()
+    pipeline = planned()
+    results = [pipeline.estimate()]
     assert len(lent) > 10
     for buffer in lent:
         values = pipeline.kernels.numpy(buffer)
         written(pipeline.kernels, buffer, np.nan if values.dtype.kind == "f" else np.iinfo(values.dtype).max)
-    got = pipeline.estimate()
-    np.testing.assert_array_equal(got.disparity, want.disparity)
-    np.testing.assert_array_equal(got.confidence, want.confidence)
+    results.append(pipeline.estimate())
+    for got in results:
+        np.testing.assert_array_equal(got.disparity, want.disparity)
+        np.testing.assert_array_equal(got.confidence, want.confidence)

@@ -141,8 +141,7 @@ def test_memory_is_what_a_dry_run_counts(stored: type, rng: np.random.Generator)
             network.load(device.image(views), None)
         else:
             network.load(DryArray(views.shape, views.itemsize), None)
-    volumes = [*arena._free.values(), [buffer for _, buffer in arena._named.values()]]
-    there = sum(buffer.capacity for some in volumes for buffer in some)
+    there = sum(buffer.capacity for _, buffer in [*arena._free, *arena._named.values()])
     kept = np.prod(views.shape) * views.itemsize + layout.offsets.size * 4
     assert dry.bytes == there + kept
 

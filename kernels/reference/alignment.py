@@ -89,7 +89,10 @@ class alignment:
         self._robust, self._tolerance = robust, tolerance
         self._others = [n for n, offset in enumerate(offsets) if np.hypot(*offset) > AT_REFERENCE]
 
-    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+    def room(self, stored: Any) -> int:
+        return 0
+
+    def load(self, image: Array, recorded: Array, valid: Array | None, room: Any = None) -> None:
         inner = np.s_[BORDER:-BORDER, BORDER:-BORDER]
         described = features(image)
         weights = np.empty(image.shape[:2])
@@ -98,7 +101,7 @@ class alignment:
         loaded.weight_of_gradients = self._gradient_weight * weights
         loaded.image = self._weighted(described[inner])
         loaded.own_changes = [self._weighted(change[inner]) for change in differences(described)]
-        loaded.recorded = recorded
+        loaded.recorded = recorded.copy()
         loaded.valid = np.ones(recorded.shape[:3]) if valid is None else valid
 
     def __call__(self, disparity: Array, nearest: Array, curvature_out: Array, slope_out: Array) -> None:

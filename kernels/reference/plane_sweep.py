@@ -85,7 +85,10 @@ class plane_sweep:
         self._scale, self._loaded = scale, SimpleNamespace() if shared is None else shared._loaded
         self._preference, self._tolerance, self._least = views.preference, views.tolerance, views.least
 
-    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+    def room(self, stored: Any) -> int:
+        return 0
+
+    def load(self, image: Array, recorded: Array, valid: Array | None, room: Any = None) -> None:
         self._loaded.image, self._loaded.recorded, self._loaded.valid = image, recorded.copy(), valid
 
     def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:

@@ -5,6 +5,8 @@ alike in one view lies on one surface, so that its mean shows that surface with 
 decided on means over 3 x 3 pixels, in which the noise is less, too. What is not valid has no part in any mean.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from lfgpu.contract import REDUCTION, SMOOTHING_REACH, WHITE, Float64Array as Array
@@ -16,9 +18,18 @@ def _stored(intensities: Array) -> Array:
     return np.floor(WHITE * np.clip(intensities, 0, 1) + 0.5)
 
 
-def smooth_views(views: Array, valid: Array | None, *, scale: float, deviation: float, views_out: Array) -> None:
+def smooth_views(
+    views: Array,
+    valid: Array | None,
+    *,
+    scale: float,
+    deviation: float,
+    views_out: Array,
+    chosen: Sequence[int] | None = None,
+) -> None:
     height, width = views.shape[1:3]
-    for n, view in enumerate(views):
+    for n, smoothed_out in zip(range(len(views)) if chosen is None else chosen, views_out, strict=True):
+        view = views[n]
         known = np.ones((height, width), np.bool_) if valid is None else valid[n] != 0
         image, counts = np.where(known[..., None], scale * view.astype(np.float64), 0), known.astype(np.float64)
         guide = _sum_around(image) / np.maximum(_sum_around(counts[..., None]), 1)
@@ -32,7 +43,7 @@ def smooth_views(views: Array, valid: Array | None, *, scale: float, deviation: 
                 weight = np.exp(-(dy**2 + dx**2) / _SPREAD) / (1 + unlike) ** 2 * inside * counts[there]
                 total += weight[..., None] * image[there]
                 weights += weight
-        views_out[n] = _stored(total / np.where(weights > 0, weights, 1)[..., None])
+        smoothed_out[:] = _stored(total / np.where(weights > 0, weights, 1)[..., None])
 
 
 def _sum_around(image: Array) -> Array:

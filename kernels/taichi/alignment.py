@@ -376,7 +376,10 @@ class alignment:
         self._compared = scale, robust, tolerance, share_of_all
         self._loaded = SimpleNamespace(weights=empty(shape[1:3]), packed=None) if shared is None else shared._loaded
 
-    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
+    def room(self, stored: Any) -> int:
+        return 0
+
+    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None, room: Any = None) -> None:
         n, height, width, channels = self._shape
         loaded = self._loaded
         loaded.kernels = _kernels(channels, recorded.scalar)

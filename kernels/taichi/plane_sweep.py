@@ -433,7 +433,10 @@ class plane_sweep:
         else:
             self._limits = table(np.array(self._deepest))
 
-    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None) -> None:
+    def room(self, stored: Any) -> int:
+        return 0
+
+    def load(self, image: DeviceArray, recorded: DeviceArray, valid: DeviceArray | None, room: Any = None) -> None:
         n, height, width, channels = self._shape
         loaded = self._loaded
         if loaded.stored != recorded.scalar:

@@ -1,5 +1,6 @@
 """Views for comparisons, smoothed and reduced; `kernels/reference/smoothing.py` says why."""
 
+from collections.abc import Sequence
 from types import SimpleNamespace
 from typing import Any
 
@@ -73,6 +74,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
         count: int,
         guide: pixels,
         unit: float,
+        first_out: int,
         views_out: out_type,
     ):
         size = height * width
@@ -91,7 +93,7 @@ def _kernels(channels: int, stored: Any) -> SimpleNamespace:
                         weight = ti.exp(-(dx * dx + dy * dy) / _SPREAD) / (unlike * unlike)
                         total += weight * ti.cast(views[q], ti.f32)
                         weights += weight
-            views_out[p] = _stored(scale * total / ti.select(weights > 0.0, weights, 1.0))
+            views_out[first_out + i] = _stored(scale * total / ti.select(weights > 0.0, weights, 1.0))
 
     @ti.kernel
     def reduce_kernel(
@@ -135,18 +137,24 @@ def _reduce_mask_kernel(valid: flat(), height: int, width: int, rows: int, colum
 
 
 def smooth_views(
-    views: DeviceArray, valid: DeviceArray | None, *, scale: float, deviation: float, views_out: DeviceArray
+    views: DeviceArray,
+    valid: DeviceArray | None,
+    *,
+    scale: float,
+    deviation: float,
+    views_out: DeviceArray,
+    chosen: Sequence[int] | None = None,
 ) -> None:
-    kernels, (n, height, width) = _kernels(views.channels, views.scalar), views.shape
+    kernels, (n, height, width) = _kernels(views.channels, views.scalar), views_out.shape
     assert views.channels is not None
-    unit = 1 / (views.channels * deviation**2)
-    some = min(n, 1 if on_cpu() else _TOGETHER)
+    unit, size = 1 / (views.channels * deviation**2), height * width
+    some = min(n, 1 if on_cpu() or chosen is not None else _TOGETHER)
     guide = scratch(views_out, (some, height, width), channels=views.channels)
     for view in range(0, n, some):
-        these = view * height * width, min(some, n - view) * height * width
+        these = (view if chosen is None else chosen[view]) * size, min(some, n - view) * size
         inputs = views, *optional(valid), scale, height, width, *these, guide
         run(kernels.guide, *inputs)
-        run(kernels.smooth, *inputs, unit, views_out)
+        run(kernels.smooth, *inputs, unit, view * size, views_out)
 
 
 def reduce_views(

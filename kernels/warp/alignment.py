@@ -15,7 +15,7 @@ import warp as wp
 from lfgpu.contract import GRADIENT_REACH
 
 from .edges import weigh_edges
-from .memory import pixel_type
+from .memory import floats_of, made_within, pixel_type, scalar_of
 from .native_code import kernel, names_of
 from .splat import as_offsets
 from .threads import launch_rows
@@ -78,8 +78,11 @@ class alignment:
         else:
             self._loaded = shared._loaded
 
-    def load(self, image: Any, recorded: Any, valid: Any) -> None:
-        self._loaded.take(image, recorded, valid)
+    def room(self, stored: Any) -> int:
+        return self._loaded.room(scalar_of(stored))
+
+    def load(self, image: Any, recorded: Any, valid: Any, room: Any = None) -> None:
+        self._loaded.take(image, recorded, valid, room)
 
     def __call__(self, disparity: Any, nearest: Any, curvature_out: Any, slope_out: Any) -> None:
         loaded = self._loaded
@@ -91,19 +94,27 @@ class _Loaded:
     """The views as the alignment reads them."""
 
     def __init__(self, shape: tuple[int, ...], weighing: tuple[float, Any, int], device: Any) -> None:
-        self._shape, self._weighing = shape, weighing
+        n, height, width, self._channels = shape
+        self._size, self._weighing, self._device = (n, height + _BORDER, width + _BORDER), weighing, device
         self._stored: Any = None
         self.weights = wp.empty(shape[1:3], dtype=float, device=device)
 
-    def take(self, image: Any, recorded: Any, valid: Any) -> None:
-        stored, device = recorded.dtype._wp_scalar_type_, image.device
+    def room(self, stored: Any) -> int:
+        return floats_of(self._size, self._kept_type(stored)) if self._device.is_cpu else 0
+
+    def _compact(self, stored: Any) -> Any:
+        """Return the type of kept scalars: a CPU reads half precision slowly, and each pixel many times."""
+        return wp.float32 if stored is wp.float16 and self._device.is_cpu else stored
+
+    def _kept_type(self, stored: Any) -> Any:
+        return pixel_type(4 if self._channels == 3 else 2, self._compact(stored))
+
+    def take(self, image: Any, recorded: Any, valid: Any, room: Any) -> None:
+        stored = recorded.dtype._wp_scalar_type_
         if stored is not self._stored:
-            n, height, width, channels = self._shape
-            # A CPU reads half precision slowly, and each pixel many times.
-            compact = wp.float32 if stored is wp.float16 and device.is_cpu else stored
-            size, kept = (n, height + _BORDER, width + _BORDER), pixel_type(4 if channels == 3 else 2, compact)
-            self._stored, self.kernels = stored, _kernels(channels, stored, compact, device.is_cpu)
-            self.packed = wp.empty(size, dtype=kept, device=device)
+            self._stored = stored
+            self.kernels = _kernels(self._channels, stored, self._compact(stored), self._device.is_cpu)
+            self.packed = made_within(room, self._size, self._kept_type(stored), self._device)
         self.image = image
         # What is near a step in brightness sees it in its gradients.
         weigh_edges(image, *self._weighing, self.weights)

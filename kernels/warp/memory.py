@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -284,14 +285,36 @@ def zeros_image(shape: Sequence[int], device: str, stored: Any = np.float32) -> 
 
 
 def _image_type(shape: Sequence[int], stored: Any) -> Any:
-    return pixel_type(shape[-1], _SCALARS[np.dtype(stored).type])
+    return pixel_type(shape[-1], scalar_of(stored))
 
 
 def within(home: Any, shape: Sequence[int], stored: Any = None) -> Any:
-    size, dtype = (shape, wp.float32) if stored is None else (shape[:-1], _image_type(shape, stored))
-    found = wp.array(ptr=home.ptr, dtype=dtype, shape=tuple(size), device=home.device, copy=False)
+    if stored is None:
+        return _within(home, shape, wp.float32)
+    return _within(home, shape[:-1], _image_type(shape, stored))
+
+
+def _within(home: Any, shape: Sequence[int], dtype: Any) -> Any:
+    found = wp.array(ptr=home.ptr, dtype=dtype, shape=tuple(shape), device=home.device, copy=False)
     found.lfgpu_home = home  # whose memory it is
     return found
+
+
+def floats_of(shape: Sequence[int], dtype: Any) -> int:
+    """Count the floats that take as much memory as an array."""
+    return -(-prod(shape) * wp.types.type_size_in_bytes(dtype) // 4)
+
+
+def made_within(home: Any, shape: Sequence[int], dtype: Any, device: Any) -> Any:
+    """Return an array in the memory of a field, or a new one if there is none or it is too small."""
+    if home is None or home.size < floats_of(shape, dtype):
+        return wp.empty(tuple(shape), dtype=dtype, device=device)
+    return _within(home, shape, dtype)
+
+
+def scalar_of(stored: Any) -> Any:
+    """Return the type of scalars that are stored in a NumPy type."""
+    return _SCALARS[np.dtype(stored).type]
 
 
 def _zeros(shape: Sequence[int], dtype: Any, device: str) -> Any:

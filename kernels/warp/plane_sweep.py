@@ -16,6 +16,7 @@ from lfgpu.contract import Disparities, SweepCost, ViewSets, sweep_shifts
 
 from . import cpu_plane_sweep
 from .gpu_plane_sweep import BLOCK, kept_type, mark_kernel, pack_kernel, sweep_kernel, threads_of
+from .memory import floats_of, made_within, scalar_of
 from .threads import flat, launch, launch_slices, room_for
 from .vector import given
 from .views import indices
@@ -41,10 +42,14 @@ class _Loaded:
         if self._device.is_cpu:
             self.stored = None
 
-    def take(self, image: Any, recorded: Any, valid: Any) -> None:
+    def shape_of_views(self) -> tuple[int, ...]:
+        n, height, width, channels = self._shape
+        return n, channels, height, width + cpu_plane_sweep.margins(width, self._farthest)[1]
+
+    def take(self, image: Any, recorded: Any, valid: Any, room: Any) -> None:
         stored = recorded.dtype._wp_scalar_type_
         if stored is not self.stored:
-            self._prepare(stored)
+            self._prepare(stored, room)
         self.valid = valid
         if self._device.is_cpu:
             launch_slices(self._loading.views, len(recorded), [recorded, self.margin], self.views)
@@ -54,7 +59,7 @@ class _Loaded:
         inputs = [flat(recorded), None if valid is None else flat(valid)]
         launch(self._pack, recorded.size, inputs, [flat(self.views)], device=self._device)
 
-    def _prepare(self, stored: Any) -> None:
+    def _prepare(self, stored: Any, room: Any) -> None:
         """Allocate for views of scalar type `stored`, the first time and when that changes."""
         n, height, width, channels = self._shape
         self.stored = stored
@@ -65,9 +70,8 @@ class _Loaded:
             self._marks: Any = None
             return
         self._loading = cpu_plane_sweep.loading_kernels(channels, stored)
-        self.margin, more = cpu_plane_sweep.margins(width, self._farthest)
-        kept = cpu_plane_sweep.kept_type(stored)
-        self.views = wp.empty((n, channels, height, width + more), dtype=kept, device="cpu")
+        self.margin, _ = cpu_plane_sweep.margins(width, self._farthest)
+        self.views = made_within(room, self.shape_of_views(), cpu_plane_sweep.kept_type(stored), self._device)
         self.image = wp.zeros((channels, height, width + cpu_plane_sweep.LANES), dtype=float, device="cpu")
 
     def mark(self, nearest: Any, order: Any, deepest: Any) -> Any:
@@ -125,8 +129,14 @@ class plane_sweep:
         deepest = disparities.first + disparities.step * np.arange(self._count) + self._tolerance
         self._deepest.assign(deepest.astype(np.float32))
 
-    def load(self, image: Any, recorded: Any, valid: Any) -> None:
-        self._loaded.take(image, recorded, valid)
+    def room(self, stored: Any) -> int:
+        if not self._device.is_cpu:
+            return 0
+        kept = cpu_plane_sweep.kept_type(scalar_of(stored))
+        return floats_of(self._loaded.shape_of_views(), kept)
+
+    def load(self, image: Any, recorded: Any, valid: Any, room: Any = None) -> None:
+        self._loaded.take(image, recorded, valid, room)
 
     def by_view_sets(self, cost: SweepCost, volume_out: Any) -> None:
         self._sweep(None, self._members, (self._groups, self._view_sets), 1.0, cost, volume_out)

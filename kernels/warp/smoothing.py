@@ -4,6 +4,7 @@ On a CPU a thread has some rows, on a GPU a block of threads has a tile of a vie
 """
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import warp as wp
@@ -14,6 +15,7 @@ from .memory import pixel_type
 from .native_code import kernel
 from .threads import check_size, launch, launch_rows, launch_slices, once, slices
 from .vector import given
+from .views import indices
 
 _SPREAD = 8.0  # pixels²: twice the variance of the Gaussian over places
 _TILE = (16, 32)  # rows and columns of a block on a GPU
@@ -47,20 +49,29 @@ def _reduce_kernel(channels: int, stored: Any) -> Any:
     return kernel("smoothing.h", "reduce_rows", **types, **numbers)
 
 
-def smooth_views(views: Any, valid: Any, *, scale: float, deviation: Any, views_out: Any) -> None:
-    (n, height, width), device = views.shape, views.device
+def smooth_views(
+    views: Any,
+    valid: Any,
+    *,
+    scale: float,
+    deviation: Any,
+    views_out: Any,
+    chosen: Sequence[int] | None = None,
+) -> None:
+    (n, height, width), device = views_out.shape, views.device
+    order = None if chosen is None else indices(tuple(chosen), device.alias)
     channels, stored = views.dtype._length_, views.dtype._wp_scalar_type_
     if device.is_cuda:
         dim = n * -(-height // _TILE[0]) * -(-width // _TILE[1]) * _THREADS
         check_size(dim)
-        inputs = [views, valid, scale, *given(deviation)]
+        inputs = [views, valid, order, scale, *given(deviation)]
         launch(_tiles_kernel(channels, stored), dim, inputs, [views_out], device=device, block_dim=_THREADS)
         return
     wide = width + 2 * (SMOOTHING_REACH + 1) + _LANES
     parts = len(slices(device, n * height))
     room = wp.zeros((parts, (_RING * (2 * channels + 2) + 1) * wide), dtype=float, device=device)
     smooth = kernel("smoothing.h", "smooth_rows", **_types(channels, stored), **_NUMBERS, RING=_RING, LANES=_LANES)
-    launch_slices(smooth, n * height, [views, valid, scale, *given(deviation)], views_out, room=room)
+    launch_slices(smooth, n * height, [views, valid, order, scale, *given(deviation)], views_out, room=room)
 
 
 def reduce_views(views: Any, valid: Any, *, scale: float, views_out: Any, valid_out: Any) -> None:

@@ -71,10 +71,18 @@ class Images(Protocol):
         """Plan the local contrast normalisation of views of `shape` [n, y, x, c]."""
 
     def smooth_views(
-        self, views: Array, valid: Array | None, *, scale: float, deviation: float, views_out: Array
+        self,
+        views: Array,
+        valid: Array | None,
+        *,
+        scale: float,
+        deviation: float,
+        views_out: Array,
+        chosen: Sequence[int] | None = None,
     ) -> None:
         """Means of pixels that look alike, uint16 [n, y, x, c] with `WHITE` for 1, rounded; 0 to 1 is kept.
 
+        They are those of the `chosen` views, in this order, or of all.
         With I = scale * views [n, y, x, c] and G its mean over 3 x 3 pixels, the frame's border repeated, the mean at p
         is over the pixels q of the frame at most SMOOTHING_REACH rows and columns away, with the weights
 

@@ -102,10 +102,14 @@ class PlaneSweep(Protocol):
     `sweep_shifts`, so that no rounding in float32 decides what lies in the frame and which pixel is nearest.
     """
 
-    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
+    def room(self, stored: Any) -> int:
+        """Count the floats of memory that `load` needs for views of a NumPy type; 0 if it has its own in any case."""
+
+    def load(self, image: Array, recorded: Array, valid: Array | None, room: Array | None = None) -> None:
         """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None.
 
-        `recorded` is copied; the others stay as they are until the next call.
+        `recorded` is copied, into the field `room` if it is large enough; it and the others must stay as they are
+        until the next call.
         """
 
     def by_view_sets(self, cost: SweepCost, volume_out: Array) -> None:
@@ -152,8 +156,15 @@ class Alignment(Protocol):
     w(p) is gradient_weight times what `edge_weights` is for the reference, `contrast` and GRADIENT_REACH.
     """
 
-    def load(self, image: Array, recorded: Array, valid: Array | None) -> None:
-        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None."""
+    def room(self, stored: Any) -> int:
+        """Count the floats of memory that `load` needs for views of a NumPy type; 0 if it has its own in any case."""
+
+    def load(self, image: Array, recorded: Array, valid: Array | None, room: Array | None = None) -> None:
+        """Take a reference image [y, x, c] and `recorded` views [n, y, x, c] with their `valid` [n, y, x] or None.
+
+        `recorded` is copied, into the field `room` if it is large enough; it and the others must stay as they are
+        until the next call.
+        """
 
     def __call__(self, disparity: Array, nearest: Array, curvature_out: Array, slope_out: Array) -> None:
         """Fields [y, x]: curvature = sum_n k_n mean F_n'^2 / N and slope = -sum_n k_n mean F_n' (F_n - F) / N.

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from lfgpu.contract import Array, Device, Scalar
+from lfgpu.contract import Alignment, Array, Device, PlaneSweep, Scalar
 
 _MOST_NUMBERS = 64  # of a plan
 
@@ -36,7 +36,6 @@ class Arena:
         self._values: list[Callable[[], float]] = []
         self._named: dict[str, tuple[_Kind, Array]] = {}
         self._free: list[tuple[_Kind, Array]] = []
-        self._scopes: list[list[tuple[_Kind, Array]]] = []
 
     def field(self, name: str, shape: Sequence[int]) -> Array:
         """Return the field of a name; it holds zeros when it is new."""
@@ -68,15 +67,15 @@ class Arena:
     @contextmanager
     def scratch(self) -> Iterator[Scratch]:
         """Begin a scope in which scratch is lent; scopes that follow are lent the same buffers."""
-        self._scopes.append([])
+        scope: list[tuple[_Kind, Array]] = []
         try:
-            yield Scratch(self)
+            yield Scratch(self, scope)
         finally:
-            self._free += self._scopes.pop()
+            self._free += scope
 
-    def lend(self, kind: _Kind) -> Array:
-        """Lend a free buffer, or a new one, to the innermost scope."""
-        size, scope = _bytes(kind), self._scopes[-1]
+    def lend(self, kind: _Kind, scope: list[tuple[_Kind, Array]]) -> Array:
+        """Lend a free buffer, or a new one, to a scope."""
+        size = _bytes(kind)
         for place, (other, home) in sorted(enumerate(self._free), key=lambda free: (free[1][0] != kind, -free[0])):
             buffer = home if other == kind else None
             if buffer is None and not self.device.is_gpu and size <= _bytes(other) <= 4 * size:
@@ -107,16 +106,21 @@ def _bytes(kind: _Kind) -> int:
 class Scratch:
     """Buffers that a pass may use during its calls; their contents are arbitrary before each call."""
 
-    def __init__(self, arena: Arena) -> None:
-        self._arena = arena
+    def __init__(self, arena: Arena, scope: list[tuple[_Kind, Array]]) -> None:
+        self._arena, self._scope = arena, scope
 
     def field(self, shape: Sequence[int]) -> Array:
         """Lend a field."""
-        return self._arena.lend((tuple(shape), ""))
+        return self._arena.lend((tuple(shape), ""), self._scope)
 
     def image(self, shape: Sequence[int], stored: DTypeLike = np.float32) -> Array:
         """Lend an image [..., c] that is stored in the NumPy type `stored`."""
-        return self._arena.lend((tuple(shape), np.dtype(stored).name))
+        return self._arena.lend((tuple(shape), np.dtype(stored).name), self._scope)
+
+    def room(self, plan: PlaneSweep | Alignment, stored: DTypeLike) -> Array | None:
+        """Lend what a plan needs to load views that are stored in a NumPy type; None if it needs nothing."""
+        floats = plan.room(stored)
+        return self.field((floats,)) if floats else None
 
     def fields(self, count: int, shape: Sequence[int]) -> tuple[Array, ...]:
         """Lend several fields of one shape."""

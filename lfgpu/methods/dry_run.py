@@ -45,20 +45,44 @@ class DryArray:
 class DryOperation:
     """A planned operation, or any other that does nothing. Whatever is called on it does nothing, too."""
 
-    def __init__(self, on_load: Callable[[DryArray], None] | None = None) -> None:
-        self._on_load = on_load
-
-    def load(self, image: Any, recorded: DryArray | None = None, valid: Any = None) -> None:
-        """Take views; their type decides how many bytes are kept of them."""
-        if self._on_load is not None and recorded is not None:
-            self._on_load(recorded)
-            self._on_load = None  # the same memory is used again
+    def room(self, stored: Any) -> int:
+        """Return 0: nothing is needed."""
+        return 0
 
     def __call__(self, *arguments: Any, **options: Any) -> None:
         """Do nothing."""
 
     def __getattr__(self, name: str) -> DryOperation:
         return DryOperation()
+
+
+class DryLoading(DryOperation):
+    """A planned operation that keeps the views that it loads, with so many values for each pixel.
+
+    Parameters
+    ----------
+    kernels
+        What counts their bytes.
+    shape
+        The number of views, height and width.
+    values
+        Values of a pixel that are kept.
+    has_room
+        True if views are kept in memory that the caller gives.
+    """
+
+    def __init__(self, kernels: DryKernels, shape: Sequence[int], values: int, *, has_room: bool = False) -> None:
+        self._kernels, self._shape, self._has_room = kernels, (*shape, values), has_room
+
+    def room(self, stored: Any) -> int:
+        """Count the floats that `load` needs."""
+        return -(-math.prod(self._shape) * np.dtype(stored).itemsize // _FLOAT) if self._has_room else 0
+
+    def load(self, image: Any, recorded: DryArray, valid: Any = None, room: Any = None) -> None:
+        """Count views, whose type decides how many bytes are kept of them, unless there is room for them."""
+        if room is None and self._shape:
+            self._kernels.count(self._shape, recorded.itemsize)
+        self._shape = ()  # the same memory is used again
 
 
 class DryKernels:
@@ -119,69 +143,69 @@ class DryKernels:
         if shared is not None:
             return DryOperation()
         if self._on_gpu:
-            self._count(shape[:3], 2)
-        return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
+            self.count(shape[:3], 2)
+        return DryLoading(self, shape[:3], self._values(shape, has_mask=self._on_gpu), has_room=not self._on_gpu)
 
     def z_buffer(self, size: Sequence[int], device: str, *, reach: int) -> DryOperation:
         """Count the surfaces of each slice of the work."""
-        return DryOperation() if self._on_gpu else self._count((min(_SLICES, get_threads()), *size), _FLOAT)
+        return DryOperation() if self._on_gpu else self.count((min(_SLICES, get_threads()), *size), _FLOAT)
 
     def alignment(self, shape: Sequence[int], offsets: Any, *, shared: Any = None, **numbers: float) -> DryOperation:
         """Count views that are not shared, each pixel with its mask, and the weights of gradients."""
         if shared is not None:
             return DryOperation()
-        self._count(shape[1:3], _FLOAT)
-        return DryOperation(lambda views: self._packed(views, has_mask=True))
+        self.count(shape[1:3], _FLOAT)
+        return DryLoading(self, shape[:3], self._values(shape, has_mask=True), has_room=not self._on_gpu)
 
     def sector_costs(self, shape: Sequence[int], offsets: Any, *, scale: float) -> DryOperation:
         """Count views in an order of its own."""
-        return DryOperation(lambda views: self._packed(views, has_mask=self._on_gpu))
+        return DryLoading(self, shape[:3], self._values(shape, has_mask=self._on_gpu))
 
     def semi_global(self, volume: DryArray, image: Any, penalty_scale: Any, **numbers: Any) -> None:
         """Count what a GPU keeps: two volumes, and the steps to a pixel in all directions."""
         if self._on_gpu and not self.spare:
-            self._count((2, *volume.shape), _FLOAT)
-            self._count(volume.shape[1:], _STEP_COSTS)
+            self.count((2, *volume.shape), _FLOAT)
+            self.count(volume.shape[1:], _STEP_COSTS)
             self.spare = _SPARE_VOLUMES * volume.nbytes
 
     def nlm_weights(self, shape: Sequence[int], device: str, **numbers: Any) -> DryOperation:
         """Count colours and gradients, and on a GPU the sums of patches."""
-        return self._count((*shape[:2], 3 * shape[2]), _FLOAT)
+        return self.count((*shape[:2], 3 * shape[2]), _FLOAT)
 
     def structure_tensor(self, shape: Sequence[int], *arguments: Any, **numbers: Any) -> DryOperation:
         """Count the tensors of a few views, on a CPU the filtered views."""
-        return self._count((_TENSORS, _TENSOR, *shape[1:]) if self._on_gpu else shape, _FLOAT)
+        return self.count((_TENSORS, _TENSOR, *shape[1:]) if self._on_gpu else shape, _FLOAT)
 
     def normalization(self, shape: Sequence[int], device: str, **numbers: float) -> DryOperation:
         """Count the views that a GPU normalises at a time."""
         if self._on_gpu:
             count, *others = shape
-            self._count((min(count, _NORMALISED), *others), 2 * _FLOAT)
-            self._count((min(count, _NORMALISED), *others[:2]), 3 * _FLOAT)
+            self.count((min(count, _NORMALISED), *others), 2 * _FLOAT)
+            self.count((min(count, _NORMALISED), *others[:2]), 3 * _FLOAT)
         return DryOperation()
 
     def data_term(self, shape: Sequence[int], offsets: Any, **numbers: float) -> DryOperation:
         """Count recorded views as they are compared, and their coverage."""
-        self._count(shape[:3], _FLOAT)
+        self.count(shape[:3], _FLOAT)
         if not self._on_gpu:
-            return self._count((2, *shape), _FLOAT)
-        return DryOperation(lambda views: self._packed(views, has_mask=True))
+            return self.count((2, *shape), _FLOAT)
+        return DryLoading(self, shape[:3], self._values(shape, has_mask=True))
 
     def lbfgs(self, shape: Sequence[int], device: str, *, memory: int, **numbers: Any) -> DryOperation:
         """Count the history."""
-        return self._count((2 * memory + 2, *shape), _FLOAT)
+        return self.count((2 * memory + 2, *shape), _FLOAT)
 
-    def _packed(self, views: DryArray, *, has_mask: bool) -> None:
-        """Count views [n, y, x, c] whose pixels hold 2 or 4 values if their masks are among them."""
-        *pixels, channels = views.shape
-        kept = channels if not has_mask else 4 if channels == 3 else 2
-        self._count((*pixels, kept), views.itemsize)
+    @staticmethod
+    def _values(shape: Sequence[int], *, has_mask: bool) -> int:
+        """Return how many values a pixel of views [n, y, x, c] has: 2 or 4 if its mask is among them."""
+        return shape[3] if not has_mask else 4 if shape[3] == 3 else 2
 
     def _counted(self, shape: Sequence[int], itemsize: int) -> DryArray:
-        self._count(shape, itemsize)
+        self.count(shape, itemsize)
         return DryArray(tuple(shape), itemsize)
 
-    def _count(self, shape: Sequence[int], itemsize: int) -> DryOperation:
+    def count(self, shape: Sequence[int], itemsize: int) -> DryOperation:
+        """Count an array."""
         self.bytes += math.prod(shape) * itemsize
         return DryOperation()
 

@@ -189,7 +189,7 @@ def alignment(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = {name: desk.out(i.disparity.shape) for name in ("curvature", "slope")}
     of_some = {f"{name} of some": desk.out(i.disparity.shape) for name in out}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
-    plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
+    desk.load_within(plan, i.image[::-1] + 1, i.recorded[:, ::-1], other_mask)
     plan(disparity, nearest, *out.values())
     plan.load(desk.image(i.image), desk.image(i.recorded), None if i.valid is None else desk.field(i.valid))
     plan(desk.field(i.disparity[::-1, ::-1]), nearest, *out.values())

@@ -109,6 +109,13 @@ class Desk:
         """What an image holds as a field: stored values are whole numbers or floats, whatever they are read as."""
         return self.kernels.field(self.kernels.numpy(image), self.device)
 
+    def load_within(self, plan: Any, image: Values, recorded: Values, valid: Any) -> None:
+        """Load views in memory of garbage, if the plan asks for some; then it has to use it."""
+        floats = plan.room(recorded.dtype.type)
+        room = self.out((floats,)) if floats else None
+        plan.load(self.image(image), self.image(recorded), valid, room)
+        assert room is None or not np.isnan(self.kernels.numpy(room)).all(), "memory was asked for in vain"
+
     def check_inputs_unchanged(self) -> None:
         for array, before in self._inputs:
             np.testing.assert_array_equal(self.kernels.numpy(array), before, "an input was changed")

@@ -96,7 +96,11 @@ def smooth_views(desk: Desk, i: SimpleNamespace) -> Outputs:
     out = desk.stored_out(i.views.shape, np.uint16)
     valid = None if i.valid is None else desk.field(i.valid)
     desk.kernels.smooth_views(desk.image(i.views), valid, scale=i.scale, deviation=i.deviation, views_out=out)
-    return {"views": desk.stored_values(out)}
+    chosen = range(len(i.views))[::-2]
+    some = desk.stored_out((len(chosen), *i.views.shape[1:]), np.uint16)
+    options = {"scale": i.scale, "deviation": i.deviation, "chosen": chosen}
+    desk.kernels.smooth_views(desk.image(i.views), valid, **options, views_out=some)
+    return {"views": desk.stored_values(out), "chosen": desk.stored_values(some)}
 
 
 def reduce_views(desk: Desk, i: SimpleNamespace) -> Outputs:
@@ -113,11 +117,13 @@ def reduce_views(desk: Desk, i: SimpleNamespace) -> Outputs:
 
 def rounded_errors(got: dict[str, Values], want: dict[str, Values], i: SimpleNamespace) -> dict[str, float]:
     """Relative to white. Another step of it is where two nearly equal numbers are rounded: that is seldom so."""
-    steps = np.abs(got["views"].astype(np.float64) - want["views"])
-    if steps.size >= MANY:
-        share = float((steps > 0).mean())
-        assert share <= 1 / 8, f"views: {share:.0%} are rounded to another step, more than {1 / 8:.0%}"
-    errors = {"views": float(steps.max()) / WHITE}
+    errors = {}
+    for name in want.keys() - {"valid"}:
+        steps = np.abs(got[name].astype(np.float64) - want[name])
+        if steps.size >= MANY:
+            share = float((steps > 0).mean())
+            assert share <= 1 / 8, f"{name}: {share:.0%} are rounded to another step, more than {1 / 8:.0%}"
+        errors[name] = float(steps.max()) / WHITE
     if "valid" in want:
         errors["valid"] = largest_error(got["valid"], want["valid"], 1.0)
     return errors

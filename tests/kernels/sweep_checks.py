@@ -157,7 +157,7 @@ def plane_sweep(desk: Desk, i: SimpleNamespace) -> Outputs:
     shape = (i.options["count"], *i.image.shape[:2])
     out = {name: desk.out(shape) for name in VOLUMES}
     other_mask = desk.field(np.arange(i.recorded[..., 0].size).reshape(i.recorded.shape[:3]) % 2)
-    plan.load(desk.image(i.image[::-1] + 1), desk.image(i.recorded[:, ::-1]), other_mask)
+    desk.load_within(plan, i.image[::-1] + 1, i.recorded[:, ::-1], other_mask)
     plan.by_visibility(desk.field(i.nearest[:, ::-1]), cost, out["view_sets"])
     plan.by_visibility(desk.field(i.nearest[:, ::-1]), intensities, out["seen"])
     plan.by_view_sets(cost, out["intensities"])

@@ -8,9 +8,10 @@ inline unsigned short stored(float value) {
     return (unsigned short)(WHITE * inside + 0.5f);
 }
 
-// Smooth a tile of a view: a block has it, and what is around it, in shared memory.
+// Smooth a tile of a view in `order`, or of all: a block has it, and what is around it, in shared memory.
 void smooth_tile(
-    int tid, Array3<Stored> views, Array3<float> valid, float scale, Number deviation, Array3<Smoothed> views_out) {
+    int tid, Array3<Stored> views, Array3<float> valid, Array1<int> order, float scale, Number deviation,
+    Array3<Smoothed> views_out) {
     const int block = tid / THREADS, thread = tid - block * THREADS;
     const int rows = (views.shape[1] + ROWS - 1) / ROWS, columns = (views.shape[2] + COLUMNS - 1) / COLUMNS;
     const int n = block / (rows * columns), tile = block - n * rows * columns;
@@ -20,7 +21,7 @@ void smooth_tile(
     __shared__ float colors[CHANNELS][tall + 2][wide + 2], guides[CHANNELS][tall][wide];
     __shared__ float knowns[tall + 2][wide + 2], counts[tall][wide];  // 1 where valid; counts: 0 outside the frame
     const int height = views.shape[1], width = views.shape[2];
-    const long long view = (long long)n * height * width;
+    const long long view = (long long)(order.data ? order.data[n] : n) * height * width;
     const float unit = 1.f / (CHANNELS * deviation * deviation);
     for (int i = thread; i < (tall + 2) * (wide + 2); i += THREADS) {
         const int y = i / (wide + 2), x = i - y * (wide + 2);
@@ -83,7 +84,7 @@ void smooth_tile(
         }
     for (int j = 0; j < PIXELS; ++j) {
         if (top + y + j >= height || left + x >= width) continue;
-        auto& out = views_out.data[view + (long long)(top + y + j) * width + left + x];
+        auto& out = views_out.data[((long long)n * height + top + y + j) * width + left + x];
         for (int c = 0; c < CHANNELS; ++c) out.c[c] = stored(weights[j] > 0.f ? sums[j][c] / weights[j] : 0.f);
     }
 }

@@ -8,13 +8,13 @@ inline unsigned short stored(float value) {
     return (unsigned short)(WHITE * inside + 0.5f);
 }
 
-// Smooth the rows from `first` to before `last`, counted through all views.
+// Smooth the rows from `first` to before `last`, counted through the views in `order`, or through all.
 //
 // A thread goes down the rows of a view and keeps the last few, channel by channel, in rings; what is done to a row is
 // then what vector units do.
 void smooth_rows(
-    Array3<Stored> views, Array3<float> valid, float scale, Number deviation, int first, int last, Array1<float> room,
-    Array3<Smoothed> views_out) {
+    Array3<Stored> views, Array3<float> valid, Array1<int> order, float scale, Number deviation, int first, int last,
+    Array1<float> room, Array3<Smoothed> views_out) {
     typedef float Some __attribute__((ext_vector_type(LANES)));
     typedef float Anywhere __attribute__((ext_vector_type(LANES), aligned(4)));
     auto some = [](const float* from) { return (Some)*(const Anywhere*)from; };
@@ -31,7 +31,7 @@ void smooth_rows(
     int colored = 0, guided = 0;                    // rows of this view that are in the rings
     for (int i = first; i < last; ++i) {
         const int n = i / height, y = i - n * height;
-        const size_t view = (size_t)n * height * width;
+        const size_t view = (size_t)(order.data ? order.data[n] : n) * height * width;
         if (i == first || y == 0) {
             colored = within(y - REACH - 1, height);
             guided = within(y - REACH, height);
@@ -77,7 +77,7 @@ void smooth_rows(
         // As many columns as a few registers hold, with all that is added up for them.
         const float* const guide = guides + (y % RING) * row + REACH + 1;
         const float* const known = knowns + (size_t)(y % RING) * wide + REACH + 1;
-        auto* const out = views_out.data + view + (size_t)y * width;
+        auto* const out = views_out.data + (size_t)i * width;
         const int above = y < REACH ? -y : -REACH, below = height - 1 - y < REACH ? height - 1 - y : REACH;
         for (int x = 0; x < width; x += LANES) {
             Some middle[CHANNELS], sum[CHANNELS], weights = 0.f;

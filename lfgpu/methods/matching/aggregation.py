@@ -109,7 +109,7 @@ class Learned(Aggregation):
         chosen = None if len(near) == layout.count else near
         selection = Selection(frame, "views near the reference", chosen, layout.subset(near), layout.dtype)
         planned = padded_disparities(frame.bounds, reach)
-        self._step, self._windows = planned.step, None
+        self._step = planned.step
 
         def fits(bounds: tuple[float, float]) -> bool:
             is_same = network_reach(layout.offsets, bounds) == reach
@@ -118,9 +118,9 @@ class Learned(Aggregation):
         frame.fits.append(fits)
         with arena.scratch() as scratch:
             self._probability, self._deviation = scratch.fields(2, frame.size)
-            self._network = Network(arena, self._weights, selection.layout, planned.count)
-        if are_in_windows(layout.offsets, frame.bounds):
-            self._windows = Windows(frame)
+            with arena.scratch():  # of the second network, too
+                self._network = Network(arena, self._weights, selection.layout, planned.count)
+            self._windows = Windows(frame) if are_in_windows(layout.offsets, frame.bounds) else None
         self.image, self.factor = self._network.image, self._network.factor
         self._selection = selection
         self._lowest = arena.number(lambda: padded_disparities(frame.bounds, reach).first)

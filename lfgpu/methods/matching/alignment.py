@@ -31,20 +31,17 @@ class Alignment:
         self._floor = arena.number(lambda: tuning.least_curvature * frame.config.tuning.alignment.robust**2)
         self._stiffness = arena.number(lambda: tuning.stiffness * frame.config.tuning.alignment.robust**2)
         self._of_matched = arena.number(lambda: (tuning.matched * frame.config.tuning.alignment.robust) ** 2)
-        self._last = self._first = _Step(frame, frame.layout.offsets)
-        if frame.compared_layout is not frame.layout and not frame.is_wide:
-            self._first = _Step(frame, frame.compared_offsets, self._last)
         self.moves = [arena.device.scalar(0.0) for _ in range(config.alignment.iterations)]
         """Sums over the squares of each step."""
         self.curvature = arena.field("curvature", frame.size)
         """The curvature of the views' differences at the map [y, x] of the last step."""
         with arena.scratch() as scratch:
+            self._last = self._first = _Step(frame, frame.layout.offsets)
+            if frame.compared_layout is not frame.layout and not frame.is_wide:
+                self._first = _Step(frame, frame.compared_offsets, self._last)
             self._slope, self._certainty, self._workspace = scratch.fields(3, frame.size)
             self._variance, self._matched_weight = scratch.fields(2, frame.size)
-
-    def load(self) -> None:
-        """Take the views of a frame."""
-        self._last.align.load(self._frame.image, *self._frame.used)
+            self._room = scratch.room(self._last.align, frame.layout.dtype)
 
     def run(
         self,
@@ -62,6 +59,7 @@ class Alignment:
         then back by most of its way if it has moved farther than the map's deviation. `trust_out`, if any, is the
         amount of texture; 0 if there was none.
         """
+        self._last.align.load(self._frame.image, *self._frame.used, self._room)
         if variance is not None:
             self._weigh_matched(variance)
         kernels, tuning, workspace = self._kernels, self._tuning, self._workspace

@@ -122,19 +122,26 @@ class Frame:
         if deviation is not None:
             self.compared_image, self.scale = arena.image("smoothed image", image), 1 / WHITE
             self.stored = np.dtype(np.uint16)
-        with arena.scratch() as scratch:
-            scratch.field(layout.shape[:3])  # for nearest surfaces: what is needed while views load finds room in it
-        with arena.scratch() as scratch:
-            self._compared = Selection(self, "compared views", chosen.chosen, chosen.compared, layout.dtype, scratch)
-            if deviation is not None:
-                self._smoothed = scratch.image(chosen.compared.shape, np.uint16)
         self.hiding = arena.kernels.z_buffer(self.size, arena.device.name, reach=WIDEST)
         """Finds the nearest surface in each view, with surfaces widened by up to `WIDEST` pixels."""
+        self.scratch: Scratch | None = None
+        """Lends the memory in which sweeps keep views; None if they have their own."""
+        self._chosen = chosen
         self._priors: dict[int, NonLocalMeans] = {}
         self._swept: dict[tuple[int, ...], SweptViews] = {}
         self._loads: list[Load] = []
         self.used: Loaded
         """The used views, as stored."""
+
+    def allocate(self) -> None:
+        """Allocate what loading needs, after the passes, in whose memory it finds room, and before the first frame."""
+        chosen, compared = self._chosen.chosen, self._chosen.compared
+        with self.arena.scratch() as scratch:
+            if self._deviation is None:
+                self._compared = Selection(self, "compared views", chosen, compared, self.stored, scratch)
+            else:
+                self._smoothed = scratch.image(compared.shape, np.uint16)
+                self._smoothed_masks = ChosenMasks(self, "compared views", chosen, compared)
 
     def follow(self, bounds: tuple[float, float], config: MatchingConfig, *, deviation: float | None) -> bool:
         """Go on with other bounds, and parameters and smoothing for another noise; tell whether that is possible."""
@@ -162,14 +169,21 @@ class Frame:
         )
         for prior in self._priors.values():
             prior.load(self.image)
-        views, valid = self._compared.of(*self.used)
-        if self._deviation is not None:
-            kernels.smooth_views(views, valid, scale=layout.scale, deviation=self._deviation, views_out=self._smoothed)
+        if self._deviation is None:
+            views, valid = self._compared.of(*self.used)
+        else:
+            views, valid = self._smoothed, self._smoothed_masks.of(self.valid)
+            kernels.smooth_views(
+                *self.used,
+                scale=layout.scale,
+                deviation=self._deviation,
+                chosen=self._chosen.chosen,
+                views_out=views,
+            )
             reference = self.compared_layout.reference
             kernels.intensities(
-                self._smoothed, reference, valid, scale=self.scale, fill=UNLIKE_ANY, image_out=self.compared_image
+                views, reference, valid, scale=self.scale, fill=UNLIKE_ANY, image_out=self.compared_image
             )
-            views = self._smoothed
         for load in self._loads:
             load(self.compared_image, views, valid)
 
@@ -202,6 +216,22 @@ class Frame:
         return self._swept[chosen]
 
 
+class ChosenMasks:
+    """The masks of some views of a frame, copied on the device; those of all, if not `chosen`, are not copied."""
+
+    def __init__(self, frame: Frame, name: str, chosen: list[int] | None, layout: ViewLayout) -> None:
+        self._kernels, self._chosen = frame.kernels, chosen
+        if chosen is not None and frame.is_masked:
+            self._masks = frame.arena.field(f"{name}, masks", layout.shape[:3])
+
+    def of(self, valid: Array | None) -> Array | None:
+        """Copy the chosen ones of the masks [n, y, x] of all views."""
+        if self._chosen is None or valid is None:
+            return valid
+        self._kernels.line_of_views(valid, self._chosen, vertical=False, epis_out=self._masks)
+        return self._masks
+
+
 class Selection:
     """Some views of a frame and their masks, copied on the device; all of them, if not `chosen`, are not copied.
 
@@ -217,21 +247,18 @@ class Selection:
         stored: np.dtype[np.generic],
         scratch: Scratch | None = None,
     ) -> None:
-        self.layout, self._kernels, self._chosen, arena = layout, frame.kernels, chosen, frame.arena
+        self.layout, self._kernels, self._chosen = layout, frame.kernels, chosen
+        self._masks = ChosenMasks(frame, name, chosen, layout)
         if chosen is not None:
-            image = partial(arena.image, name) if scratch is None else scratch.image
+            image = partial(frame.arena.image, name) if scratch is None else scratch.image
             self._views = image(layout.shape, stored)
-            self._masks = arena.field(f"{name}, masks", layout.shape[:3]) if frame.is_masked else None
 
     def of(self, views: Array, valid: Array | None) -> Loaded:
         """Copy the chosen ones of all views [n, y, x, c] and of their masks [n, y, x]."""
-        if self._chosen is None:
-            return views, valid
-        self._kernels.line_of_views(views, self._chosen, vertical=False, epis_out=self._views)
-        if valid is None:
-            return self._views, None
-        self._kernels.line_of_views(valid, self._chosen, vertical=False, epis_out=self._masks)
-        return self._views, self._masks
+        if self._chosen is not None:
+            self._kernels.line_of_views(views, self._chosen, vertical=False, epis_out=self._views)
+            views = self._views
+        return views, self._masks.of(valid)
 
 
 class SweptViews:
@@ -265,7 +292,8 @@ class SweptViews:
         sweep = frame.kernels.plane_sweep(shape, views, frame.disparities, scale=frame.scale, shared=shared)
         frame.moving.append(sweep)
         if shared is None:
-            frame.on_load(sweep.load)
+            room = None if frame.scratch is None else frame.scratch.room(sweep, frame.stored)
+            frame.on_load(lambda image, views, valid: sweep.load(image, views, valid, room))
         return sweep
 
     def cost(self, name: str, plan: Callable[[SweptViews], Any]) -> Any:

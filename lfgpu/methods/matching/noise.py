@@ -145,6 +145,7 @@ class _FirstSweep:
         self._frame = Frame(arena, chosen, bounds, config, deviation=deviation)
         self._kernels = device.kernels
         self._cost = PlaneSweepCost(self._frame.swept("all"), first_cost(config))
+        self._frame.allocate()
         self.views = device.zeros_image(layout.shape, layout.dtype.type)
         """The views [n, y, x, c] that it compares; whoever calls it writes them."""
         self._volume = device.zeros((self._frame.disparities.slices, *layout.size))

@@ -108,15 +108,15 @@ class PlannedSweep:
 class Sweeps:
     """All sweeps of a table for light fields of one kind; `kind` is a key of the weights in `trust.py`."""
 
-    def __init__(self, frame: Frame, *, kind: str) -> None:
+    def __init__(self, frame: Frame, *, kind: str, is_live: bool) -> None:
         arena, size = frame.arena, frame.size
         config, tuning, bounds = frame.config, frame.config.tuning.sweep, frame.bounds
         self._frame, self._put_far = frame, frame.known.putting_far(bounds[0])  # an unknown pixel hides nothing
         first, *further = sweeps_of(config)
         second = further.pop() if further and further[-1] in LEARNED else None
         self._guesses = None
-        with arena.scratch() as scratch:
-            self._hides, self._evidence = scratch.fields(2, size)
+        with arena.scratch() as frame.scratch:
+            self._hides, self._evidence = frame.scratch.fields(2, size)
             self.judging = Judging(frame, kind=kind)
             if further and tuning.ambiguity < 1:
                 self._guesses = GuessedSurfaces(
@@ -130,6 +130,9 @@ class Sweeps:
             self._first, self._further = PlannedSweep(first, frame), [PlannedSweep(row, frame) for row in further]
             self.second = None if second is None else PlannedSweep(second, frame)
             """The sweep that finds a second map, None if there is none."""
+            self.past = self._planned_past(first) if is_live else self.last
+            """The last sweep; in streams planned to look past a surface even if no sweep follows the first one."""
+            frame.allocate()
         self.unhidden = arena.field("evidence of the first sweep", size) if further else None
         """The evidence [y, x] of the sweep in which no surface hid anything; None if no sweep follows it."""
 
@@ -156,15 +159,11 @@ class Sweeps:
             self.find(sweep, self._hiding_part(found, before, evidence), map_out)
             before, found, evidence = sweep, map_out, None
 
-    def past(self) -> PlannedSweep:
-        """Return the last sweep, planned to look past a surface even if no sweep follows the first one.
-
-        Aggregations with costs of their own look past surfaces by themselves.
-        """
+    def _planned_past(self, first: Sweep) -> PlannedSweep:
+        """Return `past` for a stream. Aggregations with costs of their own look past surfaces by themselves."""
         if self._further or self._first.aggregation.has_own_costs:
             return self.last
-        row = replace(self._first.row, past="surface", aggregation=ACCURATE[-1].aggregation)
-        return PlannedSweep(row, self._frame)
+        return PlannedSweep(replace(first, past="surface", aggregation=ACCURATE[-1].aggregation), self._frame)
 
     def judge(self, sweep: PlannedSweep, map_: Array, unhidden: Array | None, confidence_out: Array) -> None:
         """Find the confidence [y, x] and the variance of a map [y, x] to which a sweep led; see `Judging.run`."""

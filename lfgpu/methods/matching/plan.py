@@ -45,7 +45,8 @@ class MatchingPlan:
         self._arena = arena = Arena(device, follows=follows)
         self._kernels, deviation = device.kernels, smoothing_deviation(measured.grain, config.sweep)
         self._frame = frame = Frame(arena, chosen, bounds, config, deviation=deviation, masked=self.is_live)
-        self._sweeps, self._alignment = Sweeps(frame, kind=kind), Alignment(frame)
+        self._alignment = Alignment(frame)  # first, as its views are the largest of what shares memory
+        self._sweeps = Sweeps(frame, kind=kind, is_live=self.is_live)
         self.trust = device.scalar(0.0)
         """A number on the device: 0 if the last run found no estimate."""
         are_two = self._sweeps.second is not None
@@ -114,12 +115,8 @@ class MatchingPlan:
         return self._frame.known.on_host(self._sweeps.judging.deviation())
 
     def _sweep(self, views: Array) -> None:
-        self._load(views)
-        self._sweeps.first(self._swept)
-
-    def _load(self, views: Array) -> None:
         self._frame.load(views)
-        self._alignment.load()
+        self._sweeps.first(self._swept)
 
     def _sweep_again(self, _: Callback | None) -> None:
         self._sweeps.further(self._swept, self._matched)

@@ -60,7 +60,6 @@ class TemporalMatching(MatchingPlan):
     ) -> None:
         super().__init__(layout, measured, config, device)
         arena, size = self._arena, self._frame.size
-        self._past_sweep = self._sweeps.past()
         self._temporal, self._streaming, self._is_warm = prior, streaming, False
         self._past, self._frames, self._rate = (arena.field(n, size) for n in ("past", "frames", "rate"))
         self._expected, self._frames_before, self._rate_before, self._same, self._believed = (
@@ -120,7 +119,7 @@ class TemporalMatching(MatchingPlan):
         """Estimate a map of `views` from the last one: one sweep compares the views that saw the last surfaces."""
         kernels = self._kernels
         self._is_warm, self._steps = True, steps
-        self._load(views)
+        self._frame.load(views)
         tolerance = self._temporal.tolerance * self.noise
         self._motion.find(self._frame.image, self._last_image, tolerance=tolerance, same_out=self._same)
         self._motion.carry(
@@ -139,7 +138,7 @@ class TemporalMatching(MatchingPlan):
         # A surface that is not there any more hides nothing.
         kernels.threshold(self._same, _SAME, self._hides)
         kernels.select(self._hides, self._expected, self._farthest_surface, self._hides)
-        self._sweeps.find(self._past_sweep, self._hides, self._swept, self._expect)
+        self._sweeps.find(self._sweeps.past, self._hides, self._swept, self._expect)
         if self._sweeps.are_several:
             kernels.copy(self._swept, self._matched)
         self._improve()
