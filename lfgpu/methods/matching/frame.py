@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
@@ -124,8 +125,8 @@ class Frame:
             self.stored = np.dtype(np.uint16)
         self.hiding = arena.kernels.z_buffer(self.size, arena.device.name, reach=WIDEST)
         """Finds the nearest surface in each view, with surfaces widened by up to `WIDEST` pixels."""
-        self.scratch: Scratch | None = None
-        """Lends the memory in which sweeps keep views; None if they have their own."""
+        self.scratch: Scratch
+        """Lends the memory in which sweeps keep views, while they are planned."""
         self._chosen = chosen
         self._priors: dict[int, NonLocalMeans] = {}
         self._swept: dict[tuple[int, ...], SweptViews] = {}
@@ -133,15 +134,19 @@ class Frame:
         self.used: Loaded
         """The used views, as stored."""
 
-    def allocate(self) -> None:
-        """Allocate what loading needs, after the passes, in whose memory it finds room, and before the first frame."""
+    @contextmanager
+    def planning(self) -> Iterator[Scratch]:
+        """Lend scratch to the block, which plans all sweeps; then allocate what loading needs, in the same memory."""
         chosen, compared = self._chosen.chosen, self._chosen.compared
-        with self.arena.scratch() as scratch:
-            if self._deviation is None:
-                self._compared = Selection(self, "compared views", chosen, compared, self.stored, scratch)
-            else:
-                self._smoothed = scratch.image(compared.shape, np.uint16)
-                self._smoothed_masks = ChosenMasks(self, "compared views", chosen, compared)
+        with self.arena.scratch() as self.scratch:
+            yield self.scratch
+            del self.scratch  # a sweep that is planned later would lose its views to other passes
+            with self.arena.scratch() as scratch:
+                if self._deviation is None:
+                    self._compared = Selection(self, "compared views", chosen, compared, self.stored, scratch)
+                else:
+                    self._smoothed = scratch.image(compared.shape, np.uint16)
+                    self._smoothed_masks = ChosenMasks(self, "compared views", chosen, compared)
 
     def follow(self, bounds: tuple[float, float], config: MatchingConfig, *, deviation: float | None) -> bool:
         """Go on with other bounds, and parameters and smoothing for another noise; tell whether that is possible."""
@@ -292,7 +297,7 @@ class SweptViews:
         sweep = frame.kernels.plane_sweep(shape, views, frame.disparities, scale=frame.scale, shared=shared)
         frame.moving.append(sweep)
         if shared is None:
-            room = None if frame.scratch is None else frame.scratch.room(sweep, frame.stored)
+            room = frame.scratch.room(sweep, frame.stored)
             frame.on_load(lambda image, views, valid: sweep.load(image, views, valid, room))
         return sweep
 

@@ -144,8 +144,8 @@ class _FirstSweep:
         arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout, layout.farthest)
         self._frame = Frame(arena, chosen, bounds, config, deviation=deviation)
         self._kernels = device.kernels
-        self._cost = PlaneSweepCost(self._frame.swept("all"), first_cost(config))
-        self._frame.allocate()
+        with self._frame.planning():
+            self._cost = PlaneSweepCost(self._frame.swept("all"), first_cost(config))
         self.views = device.zeros_image(layout.shape, layout.dtype.type)
         """The views [n, y, x, c] that it compares; whoever calls it writes them."""
         self._volume = device.zeros((self._frame.disparities.slices, *layout.size))

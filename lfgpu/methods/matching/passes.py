@@ -115,8 +115,8 @@ class Sweeps:
         first, *further = sweeps_of(config)
         second = further.pop() if further and further[-1] in LEARNED else None
         self._guesses = None
-        with arena.scratch() as frame.scratch:
-            self._hides, self._evidence = frame.scratch.fields(2, size)
+        with frame.planning() as scratch:
+            self._hides, self._evidence = scratch.fields(2, size)
             self.judging = Judging(frame, kind=kind)
             if further and tuning.ambiguity < 1:
                 self._guesses = GuessedSurfaces(
@@ -132,7 +132,6 @@ class Sweeps:
             """The sweep that finds a second map, None if there is none."""
             self.past = self._planned_past(first) if is_live else self.last
             """The last sweep; in streams planned to look past a surface even if no sweep follows the first one."""
-            frame.allocate()
         self.unhidden = arena.field("evidence of the first sweep", size) if further else None
         """The evidence [y, x] of the sweep in which no surface hid anything; None if no sweep follows it."""
 
