@@ -11,12 +11,25 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import taichi as ti
 from numpy.typing import NDArray
+from taichi.lang._ndarray import ScalarNdarray
+from taichi.lang.matrix import VectorNdarray
 from taichi.lang.util import to_numpy_type
 
 from lfgpu.contract import host_memory
 from lfgpu.errors import BackendError
 
-from .runtime import DeviceArray as DeviceArray, alone, double, most_bytes, once, run, stages_arrays, start
+from .runtime import (
+    DeviceArray as DeviceArray,
+    alone,
+    double,
+    drop,
+    enter,
+    most_bytes,
+    once,
+    run,
+    stages_arrays,
+    start,
+)
 
 _SCALARS: dict[type, Any] = {np.uint8: ti.u8, np.uint16: ti.u16, np.float16: ti.f16, np.float32: ti.f32}
 _COLOURS = 3  # channels of images whose elements are pixels
@@ -28,6 +41,24 @@ _MOST = 2**31 - 1  # Taichi's indices have 32 bits
 def flat(scalar: Any = ti.f32, channels: int | None = None) -> Any:
     """Return the type of kernel arguments that are a `DeviceArray`'s values."""
     return ti.types.ndarray(dtype=scalar if channels is None else ti.types.vector(channels, scalar), ndim=1)
+
+
+class _Dropped:
+    """Array whose memory is freed. Taichi never frees that of vectors, and frees others from any thread at any time."""
+
+    arr: Any = None
+
+    def __del__(self) -> None:
+        if self.arr is not None:
+            drop(self.arr)
+
+
+class _Scalars(_Dropped, ScalarNdarray):  # type: ignore[misc]
+    """Scalars in a row."""
+
+
+class _Vectors(_Dropped, VectorNdarray):  # type: ignore[misc]
+    """Vectors in a row."""
 
 
 def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti.f32) -> DeviceArray:
@@ -43,7 +74,8 @@ def empty(shape: Sequence[int], *, channels: int | None = None, scalar: Any = ti
         )
     try:
         with alone():
-            values = ti.ndarray(scalar, count) if channels is None else ti.Vector.ndarray(channels, scalar, count)
+            enter()
+            values = _Scalars(scalar, (count,)) if channels is None else _Vectors(channels, scalar, (count,))
     except RuntimeError as error:
         raise BackendError(
             f"the device has too little memory left for an array of {wide / 2**20:.0f} MiB: use max_memory, or fewer "

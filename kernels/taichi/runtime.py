@@ -4,6 +4,7 @@ import contextlib
 import io
 import os
 import threading
+from collections import deque
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from functools import cache
@@ -31,6 +32,8 @@ Where an iteration is a whole row or view, the loop is made as much longer and a
 _ARCHES = {"cuda:0": ti.cuda, "vulkan": ti.vulkan, "metal": ti.metal, "cpu": ti.cpu}
 _LOCK = threading.RLock()
 _forked = False  # True in a child of a process that had started Taichi
+_here = threading.local()  # `known`: CUDA knows what this thread works on
+_dropped: deque[Any] = deque()  # arrays whose memory is still to free
 
 Kernels = TypeVar("Kernels")
 
@@ -56,6 +59,7 @@ def start(device: str) -> None:
             with contextlib.redirect_stdout(io.StringIO()):  # a line that says that it starts
                 # Fast mathematics would cost digits and gain nothing where kernels wait for memory.
                 ti.init(_ARCHES[device], log_level=_level(), fast_math=False, cpu_max_num_threads=get_threads())
+            _here.known = True
         running = _running()
         if running != device:
             raise BackendError(
@@ -72,6 +76,40 @@ def alone() -> contextlib.AbstractContextManager[bool]:
             'processes by "spawn", or use another backend.'
         )
     return _LOCK
+
+
+def drop(array: Any) -> None:
+    """Free the memory of an array once a thread may.
+
+    Any thread may drop one at any time, as Python collects garbage there. Taichi ends the process if CUDA does not know
+    the thread that frees it, or others use Taichi meanwhile.
+    """
+    _dropped.append(array)
+    if _is_known() and _LOCK.acquire(blocking=False):
+        try:
+            _free()
+        finally:
+            _LOCK.release()
+
+
+def enter() -> None:
+    """Prepare this thread, which has Taichi alone, to allocate memory, and free what others dropped."""
+    if not _is_known():
+        _any_kernel()()  # only a launch tells CUDA what the thread works on
+        _here.known = True
+    _free()
+
+
+def _is_known() -> bool:
+    return getattr(_here, "known", False) or _running() != "cuda:0"
+
+
+def _free() -> None:
+    program = impl.get_runtime().prog
+    while _dropped:
+        array = _dropped.popleft()
+        if program is not None and not _forked:
+            program.delete_ndarray(array)
 
 
 def _in_child() -> None:
@@ -173,6 +211,15 @@ def once(function: Callable[..., Kernels]) -> Callable[..., Kernels]:
             return kept(*arguments)
 
     return call
+
+
+@once
+def _any_kernel() -> Any:
+    @ti.kernel
+    def any_kernel():
+        pass
+
+    return any_kernel
 
 
 def on_cpu() -> bool:
