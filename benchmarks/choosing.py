@@ -5,7 +5,6 @@ Maps depend on the weights of the network and on the sweeps, so a choice is trai
 
 from __future__ import annotations
 
-import gc
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import count
@@ -88,8 +87,6 @@ def compare(lf: LightField, bounds: tuple[float, float], method: Method[Matching
 
     features, image = unfolded(numpy(choice.features), COMPARED), unfolded(numpy(choice.image), 3)
     maps = np.stack([numpy(plan.second.first), numpy(plan.second.map)])
-    del plan, choice
-    gc.collect()  # plans refer to themselves, and are large
     return features, image, maps
 
 

@@ -1,6 +1,8 @@
 """One pipeline for many light fields of one kind: each map is that of a pipeline made for those views alone."""
 
+import gc
 import re
+import weakref
 from functools import cache
 from typing import Any
 
@@ -248,6 +250,22 @@ def test_what_is_not_deterministic_is_refused_when_it_must_be(monkeypatch: pytes
     with pytest.raises(BackendError, match="differs from run to run"):
         DepthPipeline(scene(), disparity_range=RANGE, backend="reference", deterministic=True)
     DepthPipeline(scene(), disparity_range=RANGE, backend="reference")
+
+
+@pytest.mark.parametrize("config", ["fast", "surest", "paper"])
+def test_memory_is_free_once_a_pipeline_is_dropped(config: Any, target: Any) -> None:
+    """It waits for no garbage collection, of whose need Python judges by the number of objects, not by their size."""
+    lf = scenes.make("boxes", grid=(3, 3), size=(40, 48))
+    pipeline = DepthPipeline(lf, config=config, backend=target.backend, device=target.device)
+    pipeline.estimate()
+    arrays = [weakref.ref(array) for kind in pipeline._buffers._lent.values() for array in kind]
+    gc.disable()
+    try:
+        del pipeline
+        assert arrays
+        assert not [array for array in arrays if array() is not None]
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize("damaged", [False, True])

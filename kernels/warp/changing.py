@@ -11,11 +11,12 @@ from lfgpu.contract import Disparities
 
 class numbers:
     def __init__(self, count: int, device: str) -> None:
-        self._all = wp.zeros(count, dtype=wp.float64, device=device)
+        self._all, self._values = wp.zeros(count, dtype=wp.float64, device=device), np.zeros(count)
         self.scalars = [self._all[i : i + 1] for i in range(count)]
 
     def change(self, values: Sequence[float]) -> None:
-        self._all.assign(np.pad(np.asarray(values, np.float64), (0, len(self.scalars) - len(values))))
+        self._values[: len(values)] = values
+        self._all.assign(self._values)
 
 
 def move(sweep: Any, disparities: Disparities) -> None:

@@ -123,9 +123,9 @@ class plane_sweep:
         whole = np.floor(shifts)
         if not self._shares:
             self._loaded.reach(int(np.abs(whole[..., 0]).max(initial=0)))
-        rest = ((0, self._count - disparities.count), (0, 0), (0, 0))
-        shifts = np.pad(np.concatenate([whole, shifts - whole], axis=2), rest, constant_values=_OUTSIDE)
-        self._shifts.assign(shifts.astype(np.float32))
+        rows = np.full((self._count, len(self._places), 4), _OUTSIDE, np.float32)
+        rows[: disparities.count] = np.concatenate([whole, shifts - whole], axis=2)
+        self._shifts.assign(rows)
         deepest = disparities.first + disparities.step * np.arange(self._count) + self._tolerance
         self._deepest.assign(deepest.astype(np.float32))
 

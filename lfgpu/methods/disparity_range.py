@@ -10,6 +10,7 @@ margin: pixels without texture do not count.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lfgpu.contract import Array, Device, Float32Array, Float64Array
-from lfgpu.data.layout import ViewLayout
+from lfgpu.data.layout import ViewLayout, farthest
 from lfgpu.data.lightfield import LightField
 from lfgpu.data.mapping import forget
 from lfgpu.errors import LightFieldError
@@ -48,21 +49,62 @@ _AT_ONCE = 2**26  # bytes of views that a device holds at a time
 
 
 @dataclass(frozen=True, eq=False)
-class _Line:
-    """The views in a line through the reference, those nearest to it first."""
+class _Compared:
+    """The reference and some views to each side of it."""
 
-    views: NDArray[np.intp]
-    along: Float64Array  # their distances from the reference, view steps, those to the left or above negative
-    horizontal: bool
+    views: list[int]  # in order
+    reference: int  # its place among them
+    offsets: Float64Array  # [n, 2], view steps
+    lines: tuple[tuple[tuple[int, ...], ...], ...]
+    """The places of the views to each side, of each line."""
+
+    @property
+    def farthest(self) -> float:
+        """The largest distance of a view from the reference view, along u or v, in view steps."""
+        return farthest(self.offsets)
+
+    @property
+    def is_unchecked(self) -> bool:
+        """True if each side is a single view, and none stands opposite."""
+        return all(len(line) == 1 and len(line[0]) == 1 for line in self.lines)
 
 
-@dataclass(frozen=True)
-class _Side:
-    """Some views to one side of the reference."""
+class _Lines:
+    """The views in a horizontal and in a vertical line through the reference, by side."""
 
-    views: list[int]
-    horizontal: bool
-    """True for the left and the right side, False for the upper and the lower one."""
+    def __init__(self, layout: ViewLayout) -> None:
+        self._layout, self._kept = layout, dict[tuple[int, ...], _Compared]()
+        line = layout.pattern("cross")
+        if line.sum() < 2:
+            line = layout.pattern("full")
+        self._sides: list[tuple[bool, NDArray[np.intp], list[float]]] = []  # views and distances, the nearest first
+        for horizontal in (False, True):
+            along, across = layout.offsets.T if horizontal else layout.offsets.T[::-1]
+            beside = np.flatnonzero(line & (np.abs(along) >= np.abs(across)) & (np.abs(along) > 0))
+            beside = beside[np.argsort(np.abs(along[beside]), kind="stable")]
+            for some in (beside[along[beside] < 0], beside[along[beside] > 0]):
+                if len(some):
+                    self._sides.append((horizontal, some, np.abs(along[some]).tolist()))
+        of_lines = [[distances[0] for is_, _, distances in self._sides if is_ == line] for line in (False, True)]
+        self.nearest = max(min(distances) for distances in of_lines if distances)
+        """The distance of the nearest views, horizontally or vertically, whichever is larger; view steps."""
+
+    def within(self, reach: float) -> _Compared:
+        """Choose `_VIEWS` views within reach from each side, evenly, or its nearest one."""
+        counts = tuple(max(1, bisect_right(distances, 1.001 * reach)) for _, _, distances in self._sides)
+        if counts not in self._kept:
+            self._kept[counts] = self._chosen(counts)
+        return self._kept[counts]
+
+    def _chosen(self, counts: tuple[int, ...]) -> _Compared:
+        sides: dict[bool, list[list[int]]] = {}
+        for (horizontal, views, _), count in zip(self._sides, counts, strict=True):
+            chosen = np.unique(np.ceil(np.linspace(0, count, _VIEWS + 1)[1:]).astype(int) - 1)
+            sides.setdefault(horizontal, []).append(views[chosen].tolist())
+        reference = self._layout.reference
+        views = sorted({reference, *(view for line in sides.values() for side in line for view in side)})
+        lines = tuple(tuple(tuple(map(views.index, side)) for side in line) for line in sides.values())
+        return _Compared(views, views.index(reference), self._layout.offsets[views], lines)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +113,7 @@ class _Evidence:
 
     disparity: Any  # [y, x], NaN where a pixel is no evidence; on the device first
     step: float  # distance of the disparities that were compared
-    unchecked: bool  # true if each side was a single view, and none stood opposite
+    is_unchecked: bool  # `_Compared.is_unchecked`
 
 
 def find_disparity_range(
@@ -99,35 +141,39 @@ def find_disparity_range(
 
 def _found(lf: LightField, device: Device, shown: tuple[Array, Sequence[int]] | None) -> tuple[float, float]:
     """Find the range, see `find_disparity_range`; views may be reduced to a `_SIDE`-th of their shorter side."""
-    shorter, farthest, lines = min(lf.size), lf.layout.farthest, _lines(lf.layout)
-    nearest = _nearest(lines)
+    shorter, far = min(lf.size), lf.layout.farthest
+    lines = device.kept("lines", lf.offsets.tobytes(), lambda: _Lines(lf.layout))
+    nearest, most = lines.nearest, _largest(lines, lf.size)
     fine = max(1, round(shorter / _SIDE))
     sizes = [1, *(2**k for k in range(1, _COARSER + 1) if shorter // (2**k * fine) >= _COARSEST)]
-    most = largest_disparity(lf.layout)
     search = _Search(lf, device, shown, fine)
     with device.asking():
-        found = search.compare(_sides(lines, nearest), (-most, most), sizes[:2][-1:])
+        found = search.compare(lines.within(nearest), (-most, most), sizes[:2][-1:])
         if len(sizes) > 1 and not np.isfinite(found[0].disparity).any():  # finer than the pixels of reduced views
-            found = search.compare(_sides(lines, nearest), (-most, most), sizes[:1])
+            found = search.compare(lines.within(nearest), (-most, most), sizes[:1])
         low, high = _ends(lf, found)
         low, high = low - 2 * found[0].step, high + 2 * found[0].step
         for _ in range(_TRIES):
-            reach = max(nearest, min(farthest, _SHIFT * shorter / max(abs(low), abs(high))))
+            reach = max(nearest, min(far, _SHIFT * shorter / max(abs(low), abs(high))))
             # The finest one sees thin things, coarser ones textures that are weaker than the noise.
-            found = search.compare(_sides(lines, reach), (low, high), sizes)
+            found = search.compare(lines.within(reach), (low, high), sizes)
             first, last = _ends(lf, found)
             further, close = (high - low) / 2, 2.5 * max(evidence.step for evidence in found)
             if first >= low + close and last <= high - close:
                 break
             low = low - further if first < low + close else low
             high = high + further if last > high - close else high
-    margin = _MARGIN / farthest + _MORE * (last - first)
+    margin = _MARGIN / far + _MORE * (last - first)
     return first - margin, last + margin
 
 
 def largest_disparity(layout: ViewLayout) -> float:
     """Return the largest disparity that is searched, pixels per view step."""
-    return min(_FARTHEST, _SHIFT * min(layout.size)) / _nearest(_lines(layout))
+    return _largest(_Lines(layout), layout.size)
+
+
+def _largest(lines: _Lines, size: tuple[int, int]) -> float:
+    return min(_FARTHEST, _SHIFT * min(size)) / lines.nearest
 
 
 def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
@@ -148,7 +194,7 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
             is_evidence = is_known & ~finer
         finer = is_known if finer is None else is_known | finer
         count = int(is_known.sum())
-        outer = max(min(count // 100, _OUTLIERS), count // _UNCHECKED if evidence.unchecked else 0)
+        outer = max(min(count // 100, _OUTLIERS), count // _UNCHECKED if evidence.is_unchecked else 0)
         disparities = disparity[is_evidence]
         ends = [outer, len(disparities) - 1 - outer]
         kept.append(np.partition(disparities, ends)[ends] if ends[0] <= ends[1] else disparities[:0])
@@ -160,39 +206,6 @@ def _ends(lf: LightField, found: list[_Evidence]) -> tuple[float, float]:
             "disparity_range (--disparity-range on the command line)."
         )
     return float(together.min()), float(together.max())
-
-
-def _lines(layout: ViewLayout) -> list[_Line]:
-    """List the lines of views, the horizontal one first, as far as they have views."""
-    line = layout.pattern("cross")
-    if line.sum() < 2:
-        line = layout.pattern("full")
-    found = []
-    for horizontal in (True, False):
-        along, across = layout.offsets.T if horizontal else layout.offsets.T[::-1]
-        beside = np.flatnonzero(line & (np.abs(along) >= np.abs(across)) & (np.abs(along) > 0))
-        if len(beside):
-            beside = beside[np.argsort(np.abs(along[beside]), kind="stable")]
-            found.append(_Line(beside, along[beside], horizontal))
-    return found
-
-
-def _nearest(lines: list[_Line]) -> float:
-    """Return the distance of the nearest views, horizontally or vertically, whichever is larger; view steps."""
-    return float(max(abs(line.along[0]) for line in lines))
-
-
-def _sides(lines: list[_Line], reach: float) -> list[_Side]:
-    """List the sides that have views, each with `_VIEWS` evenly chosen views within reach, or its nearest one."""
-    sides = []
-    for line in lines:
-        for sign in (-1, 1):
-            some, distance = line.views[sign * line.along > 0], np.abs(line.along[sign * line.along > 0])
-            if len(some):
-                inside = max(1, int((distance <= 1.001 * reach).sum()))
-                chosen = np.unique(np.ceil(np.linspace(0, inside, _VIEWS + 1)[1:]).astype(int) - 1)
-                sides.append(_Side([int(index) for index in some[chosen]], line.horizontal))
-    return sides
 
 
 class _Search:
@@ -209,48 +222,35 @@ class _Search:
         """The least noise that views may have, intensity."""
         return _LEAST_NOISE * exposure_of(self._lf)
 
-    def compare(self, sides: list[_Side], bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
-        """Compare the views of some sides with the reference at disparities within bounds.
+    def compare(self, compared: _Compared, bounds: tuple[float, float], times: Sequence[int]) -> list[_Evidence]:
+        """Compare views with the reference at disparities within bounds.
 
         Each of `times` is how many times smaller than by `factor` they are then.
         """
-        chosen = sorted({self._lf.reference_index, *(view for side in sides for view in side.views)})
-        images = self._shrunk(chosen)
-        started = [self._started(images, chosen, sides, bounds, more) for more in times]
+        images = self._shrunk(compared.views)
+        started = [self._started(images, compared, bounds, more) for more in times]
         read = self._device.kernels.numpy
         return [replace(one, disparity=read(one.disparity).astype(np.float32, copy=False)) for one in started]
 
-    def _started(
-        self, images: Array, chosen: list[int], sides: list[_Side], bounds: tuple[float, float], times: int
-    ) -> _Evidence:
+    def _started(self, images: Array, compared: _Compared, bounds: tuple[float, float], times: int) -> _Evidence:
         """Start one comparison, which the device may not have finished."""
-        lf, factor = self._lf, times * self._factor
-        far = max(float(np.abs(lf.offsets[side.views]).max()) for side in sides)
+        factor, views = times * self._factor, len(compared.views)
+        far = compared.farthest
         step = max(_STEP * factor / far, (bounds[1] - bounds[0]) / (_MOST - 1))
         count = max(3, math.ceil((bounds[1] - bounds[0]) / step) + 1)
-        at = {view: place for place, view in enumerate(chosen)}
-        lines = tuple(
-            tuple(tuple(at[view] for view in side.views) for side in sides if side.horizontal == horizontal)
-            for horizontal in sorted({side.horizontal for side in sides})
-        )
-        size, offsets, reference = (len(chosen), *self._size), lf.offsets[chosen] / factor, at[lf.reference_index]
+        size = (views, *self._size)
         compare = self._device.kept(
-            ("comparison", len(chosen), times), (size,), lambda: _Comparison(self._device, size, times=times)
+            ("comparison", views, times), (size,), lambda: _Comparison(self._device, size, times=times)
         )
         costs = self._device.kept(
-            ("costs", len(chosen), times),
-            (size, offsets.tobytes(), lines, reference, count),
-            lambda: _Costs(self._device, compare.shape, offsets, lines, reference, count=count),
+            ("costs", views, times),
+            (size, compared, factor, count),
+            lambda: _Costs(self._device, compare.shape, compared, factor, count=count),
         )
-        disparity = compare(
-            images,
-            costs,
-            bounds[0],
-            step,
-            apart=max(1, round(_APART * factor / far / step)),
-            least_noise=self._least_noise,
-        )
-        return _Evidence(disparity, step, len(lines) == len(sides) and all(len(side.views) == 1 for side in sides))
+        least_noise = self._least_noise
+        apart = max(1, round(_APART * factor / far / step))
+        disparity = compare(images, costs, bounds[0], step, apart=apart, least_noise=least_noise)
+        return _Evidence(disparity, step, compared.is_unchecked)
 
     def _shrunk(self, chosen: list[int]) -> Array:
         """Some views in grey, shrunk by the least factor; those that take much memory one after the other."""
@@ -282,12 +282,12 @@ class _Costs:
         self,
         device: Device,
         shape: tuple[int, ...],
-        offsets: Float64Array,
-        lines: Sequence[Sequence[Sequence[int]]],
-        reference: int,
+        compared: _Compared,
+        factor: int,
         *,
         count: int,
     ) -> None:
+        offsets, lines, reference = compared.offsets / factor, compared.lines, compared.reference
         self._find = device.kernels.side_costs(shape, offsets, lines, device.name, reference=reference, count=count)
         self._volume = device.zeros((len(lines), count, *shape[1:]))
 

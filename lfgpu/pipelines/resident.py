@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import atexit
 import ctypes
-import gc
 import math
 import sys
 import threading
@@ -102,12 +101,7 @@ class Resident:
 
 
 def _return_memory() -> None:
-    """Return the memory of dropped pipelines to the system.
-
-    Their parts refer to each other, so it takes a collection. Then glibc keeps the memory, in pieces into which the
-    next pipeline does not fit.
-    """
-    gc.collect()
+    """Return the memory of dropped pipelines to the system: glibc keeps it, in pieces too small for the next one."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:
         trim(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import weakref
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -69,6 +70,11 @@ Loaded = tuple[Array, Array | None]
 """Views [n, y, x, c] and their masks [n, y, x]."""
 
 
+def _clear(*attributes: dict[str, Any]) -> None:
+    for each in attributes:
+        each.clear()
+
+
 class Frame:
     """The views of a frame on the device, with parameters in units of the noise.
 
@@ -133,6 +139,10 @@ class Frame:
         self._loads: list[Load] = []
         self.used: Loaded
         """The used views, as stored."""
+
+    def goes_with(self, plan: object) -> None:
+        """Free all memory once `plan` is dropped; its parts refer to each other, so Python would find out late."""
+        weakref.finalize(plan, _clear, vars(self), vars(self.arena)).atexit = False
 
     @contextmanager
     def planning(self) -> Iterator[Scratch]:

@@ -143,6 +143,7 @@ class _FirstSweep:
     ) -> None:
         arena, chosen = Arena(device, follows=device.is_gpu), ChosenViews(None, layout, None, layout, layout.farthest)
         self._frame = Frame(arena, chosen, bounds, config, deviation=deviation)
+        self._frame.goes_with(self)
         self._kernels = device.kernels
         with self._frame.planning():
             self._cost = PlaneSweepCost(self._frame.swept("all"), first_cost(config))

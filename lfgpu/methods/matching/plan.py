@@ -45,6 +45,7 @@ class MatchingPlan:
         self._arena = arena = Arena(device, follows=follows)
         self._kernels, deviation = device.kernels, smoothing_deviation(measured.grain, config.sweep)
         self._frame = frame = Frame(arena, chosen, bounds, config, deviation=deviation, masked=self.is_live)
+        frame.goes_with(self)
         self._alignment = Alignment(frame)  # first, as its views are the largest of what shares memory
         self._sweeps = Sweeps(frame, kind=kind, is_live=self.is_live)
         self.trust = device.scalar(0.0)
