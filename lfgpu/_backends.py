@@ -78,7 +78,7 @@ def package_of(backend: str) -> str:
 
 def backend_named(backend: str) -> BackendName:
     """Return the name of a backend that a text gives; BackendError if there is none of that name."""
-    if backend not in _PACKAGES:
+    if backend not in list_backends():
         raise BackendError(f"unknown backend {backend!r}; use one of {', '.join(_PACKAGES)}.")
     return cast("BackendName", backend)
 

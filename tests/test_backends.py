@@ -40,6 +40,8 @@ def test_backends_are_found_by_their_names(target: Any) -> None:
     with pytest.raises(BackendError) as error:
         _backends.load("fpga")
     assert str(error.value) == f"unknown backend 'fpga'; use one of {', '.join(_backends.list_backends())}."
+    with pytest.raises(BackendError, match="unknown backend \\['warp'\\]"):
+        _backends.load(["warp"])  # type: ignore[arg-type]
     for backend in _backends.list_backends():
         assert importlib.util.find_spec(f"lfgpu.kernels.{backend}") is not None
 

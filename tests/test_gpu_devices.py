@@ -158,7 +158,7 @@ def test_arrays_that_a_device_cannot_hold_are_refused(monkeypatch: pytest.Monkey
     def full(*_: Any) -> None:
         raise RuntimeError("res == RhiResult::success")
 
-    monkeypatch.setattr(memory.ti, "ndarray", full)
+    monkeypatch.setattr(memory, "_Scalars", full)
     with pytest.raises(BackendError, match=r"has too little memory left for an array of 1 MiB: use max_memory, or"):
         memory.empty((512, 512))
 

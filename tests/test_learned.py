@@ -184,6 +184,8 @@ def test_what_is_no_file_of_weights_is_refused(
         ({name: values for name, values in weights.items() if "back3" not in name}, "does not fit the network"),
     ):
         assert sentence in refusal(content)
+    with pytest.raises(LightFieldError, match="File name too long"):
+        estimate_depth(scene, weights="a" * 5000)
 
 
 def test_weights_are_read_as_they_were_written(written: tuple[Path, dict[str, np.ndarray]]) -> None:

@@ -271,6 +271,7 @@ def test_what_is_no_light_field_is_refused(changes: dict[str, Any], words: list[
         ("crop needs slices", lambda lf: lf.crop(3, 4)),
         ("factor must be a whole number from 1 to 6, not 1.5", lambda lf: lf.downsampled(1.5)),
         ("row must be a number, not 'a'", lambda lf: lf.index_of("a", 0)),
+        ("column must be a number, not 1000", lambda lf: lf.index_of(0, 10**400)),
         ("index of a view must be a whole number from -15 to 14, not 99", lambda lf: lf.image(99)),
         ("row of pixels must be a whole number", lambda lf: lf.epi_horizontal(999)),
         ("baseline_m must be a positive number, not '1'", lambda lf: Geometry(100, "1")),

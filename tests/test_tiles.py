@@ -293,7 +293,20 @@ def test_estimates_that_agree_are_mixed_and_others_are_not() -> None:
 def test_sizes_are_understood_and_others_refused() -> None:
     assert [parse_memory(text) for text in ("8GiB", "500 MB", "1.5g", "64")] == [2**33, 5 * 10**8, 15 * 10**8, 64]
     assert [parse_memory(number) for number in (77, 6e8, np.int64(99))] == [77, 6 * 10**8, 99]
-    for wrong in ("", "much", "-1GiB", "0", "8 GiB x", 0, True, float("inf"), float("nan"), -5.0):
+    for wrong in (
+        "",
+        "much",
+        "-1GiB",
+        "0",
+        "8 GiB x",
+        0,
+        True,
+        float("inf"),
+        float("nan"),
+        -5.0,
+        10**400,
+        f"{10**400}k",
+    ):
         with pytest.raises(LightFieldError, match="max_memory must be a size"):
             parse_memory(wrong)
 

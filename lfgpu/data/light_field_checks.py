@@ -43,17 +43,26 @@ def without_masked(values: Any) -> Any:
 
 def check_number(name: str, value: Any, least: float = -math.inf, most: float = math.inf) -> None:
     """Raise LightFieldError unless `value` is a number from `least` to `most`; NaN is none."""
-    known = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
-    if not (known and least <= value <= most):
+    if not (_is_real(value) and least <= value <= most):
         bounds = "" if math.isinf(least) and math.isinf(most) else f" from {least:g} to {most:g}"
         bounds = f" of at least {least:g}" if math.isinf(most) and not math.isinf(least) else bounds
         raise LightFieldError(f"{name} must be a number{bounds}, not {value!r:.60}.")
 
 
+def _is_real(value: Any) -> bool:
+    """Tell whether a value is a number that fits into a float."""
+    if not isinstance(value, Real) or isinstance(value, bool | np.bool_):
+        return False
+    try:
+        float(value)
+    except OverflowError:
+        return False
+    return True
+
+
 def check_positive(name: str, value: Any, unit: str) -> None:
     """Raise LightFieldError unless `value` is a finite number above 0, of a `unit` that the message names."""
-    known = isinstance(value, Real) and not isinstance(value, bool | np.bool_)
-    if not (known and 0 < value < math.inf):
+    if not (_is_real(value) and 0 < value < math.inf):
         raise LightFieldError(f"{name} must be a number of {unit} > 0, not {value!r:.60}.")
 
 

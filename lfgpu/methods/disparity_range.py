@@ -98,9 +98,9 @@ class _Lines:
 
     def _chosen(self, counts: tuple[int, ...]) -> _Compared:
         sides: dict[bool, list[list[int]]] = {}
-        for (horizontal, views, _), count in zip(self._sides, counts, strict=True):
+        for (horizontal, beside, _), count in zip(self._sides, counts, strict=True):
             chosen = np.unique(np.ceil(np.linspace(0, count, _VIEWS + 1)[1:]).astype(int) - 1)
-            sides.setdefault(horizontal, []).append(views[chosen].tolist())
+            sides.setdefault(horizontal, []).append(beside[chosen].tolist())
         reference = self._layout.reference
         views = sorted({reference, *(view for line in sides.values() for side in line for view in side)})
         lines = tuple(tuple(tuple(map(views.index, side)) for side in line) for line in sides.values())

@@ -1,9 +1,9 @@
 """The memory of an estimate, computed from sizes alone; `tests/test_tiles.py` compares it with measured memory."""
 
-import math
 import re
 from dataclasses import dataclass
 from numbers import Real
+from typing import Any
 
 from lfgpu.errors import LightFieldError
 from lfgpu.machine import device_memory, free_memory
@@ -12,18 +12,18 @@ PROCESS = 500 * 2**20  # bytes: Python, the libraries and the compiled kernels
 GPU_CONTEXT = 640 * 2**20  # bytes of GPU memory that a process takes besides its arrays
 SPARE = 2**29  # bytes of GPU memory that operations take at most to be faster
 _SLACK = 1.1  # covers rounding by allocators, and small buffers
+_MOST = 2.0**63  # bytes: no memory is so large
 _UNITS = {"": 1, "k": 10**3, "m": 10**6, "g": 10**9, "t": 10**12, "ki": 2**10, "mi": 2**20, "gi": 2**30, "ti": 2**40}
 
 
 def parse_memory(value: str | float) -> int:
     """Convert a number or text such as "8GiB", "500 MB" or "2g" to bytes; raise LightFieldError for other text."""
-    if isinstance(value, Real) and not isinstance(value, bool) and 1 <= float(value) < math.inf:
-        return int(value)
-    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?|)b?\s*", str(value).lower())
-    size = int(float(match[1]) * _UNITS[match[2]]) if match and isinstance(value, str) else 0
-    if size < 1:
-        raise LightFieldError(f"max_memory must be a size such as 8GiB or 500MB, not {value!r}.")
-    return size
+    size: Any = value if isinstance(value, Real) and not isinstance(value, bool) else 0
+    if isinstance(value, str) and (match := re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([kmgt]i?|)b?\s*", value.lower())):
+        size = float(match[1]) * _UNITS[match[2]]
+    if not 1 <= size < _MOST:
+        raise LightFieldError(f"max_memory must be a size such as 8GiB or 500MB, not {value!r:.60}.")
+    return int(size)
 
 
 @dataclass(frozen=True)

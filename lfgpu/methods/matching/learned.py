@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cache, lru_cache
 from hashlib import sha256
 from pathlib import Path
@@ -55,9 +56,11 @@ class WeightsFile(str):
 
 def weights_file(path: str | os.PathLike[str]) -> WeightsFile:
     """Read a file of weights, to be one of the parameters; LightFieldError as `read_weights`."""
-    file = named(path)
-    about = file.stat() if file.is_file() else None
-    return _read_once(str(file), about and (about.st_mtime_ns, about.st_size, about.st_ino))
+    file, about = named(path), None
+    with suppress(OSError):  # of a file that cannot be read, which reading says better
+        found = file.stat()
+        about = found.st_mtime_ns, found.st_size, found.st_ino
+    return _read_once(str(file), about)
 
 
 @lru_cache(maxsize=8)
@@ -114,7 +117,8 @@ def read_file(path: str | os.PathLike[str]) -> dict[str, Float32Array]:
         with np.load(path) as file:
             weights = {name: file[name].astype(np.float32) for name in file.files}
     except Exception as error:  # NumPy and zipfile raise whatever comes to them when a file is damaged
-        reason = "it does not exist" if not Path(path).exists() else "it is damaged, or another kind of file"
+        reason = getattr(error, "strerror", None) or "it is damaged, or another kind of file"
+        reason = "it does not exist" if isinstance(error, FileNotFoundError) else reason
         raise LightFieldError(
             f"{path} cannot be read as a file of weights (.npz): {reason}; give one that `lfgpu train` wrote."
         ) from error
