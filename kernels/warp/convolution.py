@@ -10,9 +10,10 @@ from lfgpu.contract import Float32Array, Float64Array, Rows
 
 from .memory import pixel_type, start
 from .native_code import c_type, kernel
-from .threads import check_size, launch, launch_slices
+from .threads import check_size, launch, launch_slices, room_for, scalars
 
 _LANES = 16  # channels of the output that a CPU computes side by side
+_ROWS, _PIXELS = 4, 32  # of the output that it computes from the same copies
 _WARPS = 4  # of a block of a GPU
 _COLUMNS = 16  # of the output of a block
 _SHARED = 46 * 2**10  # bytes of a volume that a block keeps at most
@@ -23,24 +24,28 @@ _AMPERE = 80  # compute capability from which on tensor cores multiply as they a
 _Strides = tuple[int, int, int]
 
 
-def _kernel(
-    function: str, shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any, tiles: int = 0
+def _gpu_kernel(
+    shape: tuple[int, ...], strides: _Strides, rectified: bool, stored: Any, result: Any, tiles: int = 0
 ) -> Any:
-    """Return the kernel for weights of a shape [l, y, x, c_in, c_out], and `tiles` of rows on each warp of a GPU."""
-    *_, taps, inputs, outputs = shape
-    on_cpu = function == "convolve_rows"
+    """Return the kernel of a GPU for weights of a shape [l, y, x, c_in, c_out], and `tiles` of rows on each warp."""
+    *_, inputs, outputs = shape
     names = "KL", "KY", "KX", "CI", "CO", "SL", "SY", "SX"
     numbers: dict[str, Any] = dict(zip(names, (*shape, *strides), strict=True))
     numbers |= {"PADDED": _padded(outputs), "RECTIFIED": int(rectified)}
     numbers |= {"TILES": tiles, "APART": _apart(inputs), "SHARED": _SHARED}
-    numbers |= {"STORED": c_type(stored, for_vectors=on_cpu), "RESULT": c_type(result, for_vectors=on_cpu)}
+    numbers |= {"STORED": c_type(stored), "RESULT": c_type(result)}
     types = {"In": pixel_type(inputs, stored), "Added": pixel_type(outputs, stored), "Out": pixel_type(outputs, result)}
-    if on_cpu:
-        before, weighed, after = _products(taps, strides[2])
-        numbers |= {"TERMS": len(before), "TAPS": weighed.shape[1], "MANY": len(after)}
-        numbers |= {"BEFORE": tuple(before.ravel().tolist()), "AFTER": tuple(after.ravel().tolist())}
-        return kernel("convolution.h", "convolve_rows", **types, **numbers)
     return kernel("convolution.cuh", "convolve_tiles" if tiles else "convolve_voxels", **types, **numbers)
+
+
+def _cpu_kernel(taps: int, stride: int, stored: Any, result: Any) -> Any:
+    """Return the kernel of a CPU for so many taps along a row: one for all channels, windows and strides besides."""
+    before, weighed, after = _products(taps, stride)
+    numbers: dict[str, Any] = {"KX": taps, "SX": stride, "ROWS": _ROWS, "PIXELS": _PIXELS}
+    numbers |= {"TERMS": len(before), "TAPS": weighed.shape[1], "MANY": len(after)}
+    numbers |= {"BEFORE": tuple(before.ravel().tolist()), "AFTER": tuple(after.ravel().tolist())}
+    numbers |= {"STORED": c_type(stored, for_vectors=True), "RESULT": c_type(result, for_vectors=True)}
+    return kernel("convolution.h", "convolve_rows", Stored=stored, Result=result, **numbers)
 
 
 def _products(taps: int, stride: int) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -125,8 +130,15 @@ class convolution:
         more = 0, _padded(len(bias)) - len(bias)
         padded = np.pad(weights, [(0, 0)] * 4 + [more])
         if self._device.is_cpu:
-            _, weighed, _ = _products(weights.shape[2], strides[2])
+            deep, tall, taps, inputs, _ = weights.shape
+            before, weighed, after = _products(taps, strides[2])
             padded = np.einsum("tsk, lykio -> tlysio", weighed, padded, optimize=True)
+            plan = [deep, tall, *strides[:2], padded.shape[-1], rectified]
+            self._plan = wp.array(plan, dtype=int, device=self._device)
+            pixels = (_PIXELS - 1) * strides[2] + taps
+            copy = pixels if len(before) == 1 else _PIXELS // len(after)
+            copies = len(before) * deep * ((_ROWS - 1) * strides[1] + tall)
+            self._room = room_for(self._device, (pixels + copies * copy) * inputs)
         self._weights = wp.array(padded.reshape(-1), dtype=float, device=self._device)
         self._bias = wp.array(np.pad(bias, more), dtype=float, device=self._device)
         # What is no GPU at all stands for one in tests.
@@ -149,18 +161,20 @@ class convolution:
         if not self._device.is_cpu:
             self._on_gpu(kind, inputs, some, volume_out)
             return
-        launch_slices(_kernel("convolve_rows", *kind), labels * some, inputs, volume_out)
+        given = [scalars(volume), self._weights, self._bias, None if added is None else scalars(added), self._plan]
+        work = _cpu_kernel(self._shape[2], self._strides[2], *types)
+        launch_slices(work, labels * some, [*given, *inputs[4:]], scalars(volume_out), room=self._room)
 
     def _on_gpu(self, kind: tuple[Any, ...], inputs: list[Any], rows: int, out: Any) -> None:
         labels, _, columns = out.shape
         if not self._tiles or inputs[0].dtype._wp_scalar_type_ is not wp.float16:
             threads = labels * rows * columns * self._shape[-1] // _GROUP
             check_size(threads)
-            launch(_kernel("convolve_voxels", *kind), threads, inputs, [out], device=self._device)
+            launch(_gpu_kernel(*kind), threads, inputs, [out], device=self._device)
             return
         blocks = labels * -(-rows // (_WARPS * self._tiles)) * -(-columns // _COLUMNS)
         threads = _WARPS * 32
         check_size(blocks * threads)
         inputs[1] = self._fragments
-        convolve = _kernel("convolve_tiles", *kind, tiles=self._tiles)
+        convolve = _gpu_kernel(*kind, tiles=self._tiles)
         launch(convolve, blocks * threads, inputs, [out], device=self._device, block_dim=threads)

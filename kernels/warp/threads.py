@@ -356,6 +356,14 @@ def flat(array: Any) -> Any:
     return array.lfgpu_flat
 
 
+def scalars(array: Any) -> Any:
+    """Return a contiguous array of pixels with their channels as one more dimension, made once."""
+    if not hasattr(array, "lfgpu_scalars"):
+        stored, shape = array.dtype._wp_scalar_type_, (*array.shape, array.dtype._length_)
+        array.lfgpu_scalars = wp.array(ptr=array.ptr, dtype=stored, shape=shape, device=array.device, copy=False)
+    return array.lfgpu_scalars
+
+
 def check_size(*threads: int) -> None:
     """Raise BackendError if a launch would have more threads than its kernel can count."""
     if max(threads) > _MOST_THREADS:

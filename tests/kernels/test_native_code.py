@@ -77,8 +77,8 @@ def gpu_kernels() -> Iterator[Any]:
         ((1, 1, 1, 64, 48), (1, 1, 1)),
     ):
         kind = shape, strides, True, float16, float16
-        yield [convolution._kernel("convolve_tiles", *kind, convolution._tiles(shape, strides))]
-    yield convolution._kernel("convolve_voxels", (3, 3, 3, 24, 4), (1, 1, 1), False, float16, wp.float32)
+        yield [convolution._gpu_kernel(*kind, convolution._tiles(shape, strides))]
+    yield convolution._gpu_kernel((3, 3, 3, 24, 4), (1, 1, 1), False, float16, wp.float32)
     yield [peak._kernel(stored, False) for stored in (float16, wp.float32)]
     yield [sectors._gpu_costs_kernel(1, byte, float16, masked=False), sectors._fold_kernel(3, float16)]
     yield gpu_data_term._kernels(3, float16, float16)
