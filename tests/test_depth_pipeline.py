@@ -304,10 +304,7 @@ def test_staged_parts_are_all_bytes_in_order() -> None:
 
     values = np.random.default_rng(0).integers(0, 255, 1000, np.uint8)
     pieces = [values[:300], values[300:301], values[301:301], values[301:]]
-    parts = parts_of(pieces, 128)
-    assert max(len(part) for _, part in parts) == 128
-    found = np.zeros_like(values)
-    for start, part in parts:
-        found[start : start + len(part)] = part
-    np.testing.assert_array_equal(found, values)
-    assert sum(len(part) for _, part in parts) == len(values)
+    parts = [np.concatenate(part) for part in parts_of(pieces, 128)]
+    assert [len(part) for part in parts] == 7 * [128] + [104]
+    np.testing.assert_array_equal(np.concatenate(parts), values)
+    assert parts_of([values[:0]], 128) == []

@@ -148,12 +148,12 @@ class _Staging:
             size = min(max(-(-sum(map(len, pieces)) // _THREADS), _LEAST_PART), _PART)
             parts = parts_of(pieces, size)
             filling: list[Future[int]] = []
-            for k, (_, part) in enumerate(parts):
+            for k, part in enumerate(parts):
                 if k >= _PARTS:
-                    self._post(k - _PARTS, filling[k - _PARTS], parts[k - _PARTS][0], target)
+                    self._post(k - _PARTS, filling[k - _PARTS], (k - _PARTS) * size, target)
                 filling.append(self._pool.submit(self._fill, k % _PARTS, part))
             for k in range(max(0, len(parts) - _PARTS), len(parts)):
-                self._post(k, filling[k], parts[k][0], target)
+                self._post(k, filling[k], k * size, target)
 
     def receive(self, source: Any) -> NDArray[np.uint8]:
         """Bytes of the device, once all is done that its stream was asked for."""
@@ -170,11 +170,14 @@ class _Staging:
                     part[:] = self._room[place][: len(part)]
         return values
 
-    def _fill(self, place: int, values: NDArray[np.uint8]) -> int:
+    def _fill(self, place: int, part: list[NDArray[np.uint8]]) -> int:
         if self._used[place]:
             wp.synchronize_event(self._free[place])
-        self._room[place][: len(values)] = values
-        return len(values)
+        first = 0
+        for piece in part:
+            self._room[place][first : first + len(piece)] = piece
+            first += len(piece)
+        return first
 
     def _post(self, k: int, filled: Future[int], start: int, target: Any) -> None:
         place, count = k % _PARTS, filled.result()
@@ -187,12 +190,18 @@ class _Staging:
         self._used[place] = True
 
 
-def parts_of(pieces: Sequence[NDArray[np.uint8]], size: int) -> list[tuple[int, NDArray[np.uint8]]]:
-    """Pieces cut into parts of at most `size` bytes, each with where it begins among the bytes of all."""
-    parts, first = [], 0
+def parts_of(pieces: Sequence[NDArray[np.uint8]], size: int) -> list[list[NDArray[np.uint8]]]:
+    """Cut pieces, one after the other, into parts of `size` bytes, the last of what is left; a part is some pieces."""
+    parts: list[list[NDArray[np.uint8]]] = []
+    room = 0
     for piece in pieces:
-        parts += [(first + k, piece[k : k + size]) for k in range(0, len(piece), size)]
-        first += len(piece)
+        first = 0
+        while first < len(piece):
+            if room == 0:
+                parts.append([])
+                room = size
+            parts[-1].append(piece[first : first + room])
+            first, room = first + len(parts[-1][-1]), room - len(parts[-1][-1])
     return parts
 
 
