@@ -328,7 +328,8 @@ def scalar_of(stored: Any) -> Any:
 
 def _zeros(shape: Sequence[int], dtype: Any, device: str) -> Any:
     """Return zeros; all threads of a CPU write many: pages of memory come when they are first written to."""
-    return clear(wp.empty(tuple(shape), dtype=dtype, device=device))
+    with asking(device):
+        return clear(wp.empty(tuple(shape), dtype=dtype, device=device))
 
 
 def clear(array_out: Any) -> Any:

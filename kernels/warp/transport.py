@@ -180,7 +180,8 @@ class transport:
 
     def slot(self) -> Slot:
         """Room for one more waiting frame."""
-        return Slot(self._views)
+        with self._asking:
+            return Slot(self._views)
 
     def enter(self) -> None:
         """Prepare a thread that asks the device, or waits for it; each must call this once."""
@@ -245,7 +246,8 @@ class transport:
 
     def solve(self, work: Callable[[], None], before: Callable[[], None] | None) -> Maps:
         """Ask for a map of the frame that was brought last: `before`, if given, and `work`. The maps come later."""
-        maps = self._free.popleft() if self._free else self._new_maps()
+        with self._asking:  # memory that is asked for while another thread captures would be that of its graph
+            maps = self._free.popleft() if self._free else self._new_maps()
         if not self._device.is_cuda:
             with self._asking:
                 if before is not None:
