@@ -44,7 +44,7 @@ def flat(scalar: Any = ti.f32, channels: int | None = None) -> Any:
 
 
 class _Dropped:
-    """Array whose memory is freed. Taichi never frees that of vectors, and frees others from any thread at any time."""
+    """Array that frees its memory where a thread may: Taichi frees scalars alone, in whatever thread drops them."""
 
     arr: Any = None
 

@@ -32,7 +32,7 @@ Where an iteration is a whole row or view, the loop is made as much longer and a
 _ARCHES = {"cuda:0": ti.cuda, "vulkan": ti.vulkan, "metal": ti.metal, "cpu": ti.cpu}
 _LOCK = threading.RLock()
 _forked = False  # True in a child of a process that had started Taichi
-_here = threading.local()  # `known`: CUDA knows what this thread works on
+_here = threading.local()  # `known`: CUDA knows in which context this thread works
 _dropped: deque[Any] = deque()  # arrays whose memory is still to free
 
 Kernels = TypeVar("Kernels")
@@ -79,10 +79,10 @@ def alone() -> contextlib.AbstractContextManager[bool]:
 
 
 def drop(array: Any) -> None:
-    """Free the memory of an array once a thread may.
+    """Free the memory of an array, at once if this thread may, else when a thread next allocates.
 
-    Any thread may drop one at any time, as Python collects garbage there. Taichi ends the process if CUDA does not know
-    the thread that frees it, or others use Taichi meanwhile.
+    Any thread may drop an array at any time, as Python collects garbage there. But Taichi ends the process if CUDA does
+    not know the thread that frees it, or if another thread uses Taichi meanwhile.
     """
     _dropped.append(array)
     if _is_known() and _LOCK.acquire(blocking=False):
@@ -95,7 +95,7 @@ def drop(array: Any) -> None:
 def enter() -> None:
     """Prepare this thread, which has Taichi alone, to allocate memory, and free what others dropped."""
     if not _is_known():
-        _any_kernel()()  # only a launch tells CUDA what the thread works on
+        _any_kernel()()  # only a launch tells CUDA in which context the thread works
         _here.known = True
     _free()
 

@@ -39,7 +39,7 @@ def _gpu_kernel(
 
 
 def _cpu_kernel(taps: int, stride: int, stored: Any, result: Any) -> Any:
-    """Return the kernel of a CPU for so many taps along a row: one for all channels, windows and strides besides."""
+    """Return the kernel of a CPU for so many taps along a row; it serves all channels, and windows along l and y."""
     before, weighed, after = _products(taps, stride)
     numbers: dict[str, Any] = {"KX": taps, "SX": stride, "ROWS": _ROWS, "PIXELS": _PIXELS}
     numbers |= {"TERMS": len(before), "TAPS": weighed.shape[1], "MANY": len(after)}

@@ -191,7 +191,7 @@ class _Staging:
 
 
 def parts_of(pieces: Sequence[NDArray[np.uint8]], size: int) -> list[list[NDArray[np.uint8]]]:
-    """Cut pieces, one after the other, into parts of `size` bytes, the last of what is left; a part is some pieces."""
+    """Cut the bytes of pieces, in their order, into parts of `size` bytes, the last one shorter: lists of slices."""
     parts: list[list[NDArray[np.uint8]]] = []
     room = 0
     for piece in pieces:
