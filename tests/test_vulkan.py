@@ -19,6 +19,7 @@ from lfgpu.cli import app
 from lfgpu.io import read_map, write_hci
 from lfgpu.methods import method_of, preset
 from lfgpu.methods.measured import Measured
+from lfgpu.pipelines.resident import KEPT
 
 ti = pytest.importorskip("taichi")
 to_numpy_type = pytest.importorskip("taichi.lang.util").to_numpy_type
@@ -54,9 +55,12 @@ class Arrays:
 @pytest.fixture
 def arrays(monkeypatch: pytest.MonkeyPatch) -> Arrays:
     gc.collect()
-    counting, field, vectors = Arrays(), ti.ndarray, ti.Vector.ndarray
-    monkeypatch.setattr(ti, "ndarray", lambda *given: counting.counted(field(*given)))
-    monkeypatch.setattr(ti.Vector, "ndarray", lambda *given: counting.counted(vectors(*given)))
+    from lfgpu.kernels.taichi import memory
+
+    counting = Arrays()
+    for kind in ("_Scalars", "_Vectors"):
+        made = getattr(memory, kind)
+        monkeypatch.setattr(memory, kind, lambda *given, made=made: counting.counted(made(*given)))
     return counting
 
 
@@ -68,6 +72,8 @@ def strip() -> LightField:
 def test_tiles_give_the_same_map_in_the_memory_that_is_given(
     gpu: dict[str, str], strip: LightField, arrays: Arrays
 ) -> None:
+    from lfgpu.kernels.taichi import alignment
+
     whole = estimate_depth(strip, config=QUICK, disparity_range=RANGE, **gpu)  # type: ignore[arg-type]
     method = method_of(QUICK)
     measured = method.given(strip.layout, RANGE)
@@ -75,11 +81,13 @@ def test_tiles_give_the_same_map_in_the_memory_that_is_given(
     needed = method.footprint(strip.layout, measured, on_gpu=True)
     across = method.halo(strip.layout, measured)[1]
     limit = needed.bytes(48, 200 + across)
-    arrays.most = arrays.now = 0
+    KEPT.free()
+    arrays.most = before = arrays.now
     found = estimate_depth(strip, config=QUICK, disparity_range=RANGE, max_memory=limit, **gpu)  # type: ignore[arg-type]
     assert re.match(r"[23] tiles of 3\d\d x 48 pixels", found.status)
     assert np.abs(found.disparity - whole.disparity).max() < 1e-3
-    assert arrays.most < limit - needed.besides
+    # The buffer of the nearest surfaces does not grow with the views, and is a part of what a GPU needs besides.
+    assert 0 < arrays.most - before - alignment._BUFFER < limit - needed.besides
 
 
 @pytest.mark.parametrize("name", ["fast", "accurate", "paper", "learned"])
