@@ -28,6 +28,7 @@ ROOT = Path(__file__).parents[1]
 FILES = (
     "tests/kernels/test_matrix.py",
     "tests/kernels/test_energy.py",
+    "tests/kernels/test_memory.py",
     "tests/kernels/test_sweep_reference.py",
     "tests/kernels/test_reference_of_views.py",
     "tests/test_printed_equations.py",

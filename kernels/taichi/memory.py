@@ -1,6 +1,7 @@
 """Arrays of the Taichi backend: all values in one row, since kernels spend less on indices that they work out alone."""
 
 import inspect
+import sys
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cache
@@ -47,9 +48,10 @@ class _Dropped:
     """Array that frees its memory where a thread may: Taichi frees scalars alone, in whatever thread drops them."""
 
     arr: Any = None
+    _ends = staticmethod(sys.is_finalizing)  # Python takes modules apart at its end, and their names with them
 
     def __del__(self) -> None:
-        if self.arr is not None:
+        if self.arr is not None and not self._ends():
             drop(self.arr)
 
 

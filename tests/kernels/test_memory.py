@@ -1,6 +1,7 @@
 """Memory of arrays: whoever drops them, from whatever thread, it is free, and nobody else's work comes to harm."""
 
 import gc
+import subprocess
 import sys
 import threading
 from concurrent.futures import ThreadPoolExecutor
@@ -56,3 +57,13 @@ def test_threads_make_arrays_and_drop_those_of_others(target: Any) -> None:
     finally:
         stop.set()
         collector.join()
+
+
+def test_arrays_that_outlive_modules_end_in_silence() -> None:
+    """Python takes modules apart at its end, those of the backend before those that were there at its start."""
+    code = (
+        "import sys, numpy; from lfgpu._backends import load; kernels = load('taichi'); "
+        "sys.modules['collections.abc'].kept = kernels.field(numpy.zeros((5, 5)), 'cpu')"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr == ""
