@@ -12,9 +12,9 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.options import DeviceName, Side, say
 from lfgpu._backends import DEFAULT
 from lfgpu.cli.batch import devices_of
-from lfgpu.methods.matching.learned import weights_of
+from lfgpu.methods.matching.learned import weights_of_windows
 
-_RATE = 1e-3  # training begins with the weights of whole ranges
+_RATE = 1e-3  # training begins with the weights that lfgpu comes with
 _UNSEEN = 16  # batches of the validation
 _SHOWN = 200  # steps from one line to the next
 
@@ -42,7 +42,7 @@ def command(
         out,
         devices=devices_of(DEFAULT, device),
         seconds=60 * minutes,
-        start=weights_of(""),
+        start=weights_of_windows(),
         compared=Windows,
         on_step=lambda step, line: say(f"{line}") if step % _SHOWN == 0 else None,
     )

@@ -87,7 +87,7 @@ class Windows(Comparison):
     Its weights are disturbed now and then, as it fails more often on light fields of others.
     """
 
-    spans = 12.0, 160.0
+    spans = 24.0, 192.0
 
     def __init__(self, generator: Generator, *, scenes: int, seed: int) -> None:
         self._network, self._disturbed = (Network().to(generator.device).eval() for _ in range(2))
@@ -102,9 +102,10 @@ class Windows(Comparison):
 
     def __call__(self, batch: Batch, rng: np.random.Generator, count: int) -> tuple[Tensor, Tensor, int]:
         """See `Comparison`."""
-        map_ = facets(self._coarse(batch, rng))
-        step = NETWORK_STEP * rng.uniform(0.9, 1.1)
-        first = map_ - step * ((WINDOW - 1) / 2 + rng.uniform(-_MOVED, _MOVED))
+        map_, step = self._coarse(batch, rng), NETWORK_STEP * rng.uniform(0.9, 1.1)
+        half, level = step * (WINDOW - 1) / 2, facets(map_)
+        level = torch.where((level - map_).abs() > half, map_, level)  # as `Learned` places its windows
+        first = level - half + step * rng.uniform(-_MOVED, _MOVED)
         return first.contiguous(), torch.full((len(first),), step, device=first.device), WINDOW
 
     def _coarse(self, batch: Batch, rng: np.random.Generator) -> Tensor:

@@ -98,7 +98,9 @@ def draw_scenes(
     large = one.scale(0.6, 1.5) * each.scale(0.02, 0.4) * side
     aspect = each.scale(0.35, 3.0)
     size = np.stack([large * aspect, large / aspect, np.minimum(span * each.uniform(0.02, 0.4), 0.5 * large)], -1)
-    steep = each.scale(0.002, 0.15) * np.maximum(span / SPANS[1], 1) * each.often(0.7)  # wide ranges turn surfaces more
+    level = each.scale(0.002, 0.15) * np.maximum(span / SPANS[1], 1)
+    through = np.minimum(span / side * each.scale(0.3, 2.0), 0.9)  # through the whole range, as floors
+    steep = np.where(each.often(0.4), through, level * each.often(0.6))
     towards = each.uniform(0, _ANGLES)
     slope = np.stack([steep * np.cos(towards), steep * np.sin(towards)], -1)
 
@@ -145,11 +147,10 @@ def draw_scenes(
     walls = walls & ((slots <= 1) | one.often(0.6))
     kind, mask = np.where(slots < ROOM, casting.SHEET, kind), np.where(slots < ROOM, casting.WHOLE, mask)
     square = np.where(each.often(0.7), np.rint(each.uniform(0, 4)) * np.pi / 2, each.uniform(0, _ANGLES))
-    steep = np.minimum(span / side * each.scale(0.3, 2.0), 0.6)
     back = np.where(one.often(0.5), 0.0, 0.3) * span / side * each.uniform(-1, 1)
     floor = (slots > 0) & (slots < ROOM)
-    slope[..., 0] = np.where(floor, steep * np.cos(square), np.where(slots == 0, back, slope[..., 0]))
-    slope[..., 1] = np.where(floor, steep * np.sin(square), np.where(slots == 0, back[:, ::-1], slope[..., 1]))
+    slope[..., 0] = np.where(floor, through * np.cos(square), np.where(slots == 0, back, slope[..., 0]))
+    slope[..., 1] = np.where(floor, through * np.sin(square), np.where(slots == 0, back[:, ::-1], slope[..., 1]))
     place[..., :2] = np.where(
         (slots < ROOM)[..., None], np.stack([each.uniform(), each.uniform()], -1) * side, place[..., :2]
     )
