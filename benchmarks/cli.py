@@ -28,7 +28,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         "misalignment judge rectify",  # cameras
         "range scaling batches tiles",  # many light fields, and large ones
         "live flicker soak",  # streams
-        "call network choice windows",  # parts of an estimate, and training of one
+        "call pairs network choice windows",  # parts of an estimate, and training of one
         "table compare figures gpu-parity",  # files of results, and pages
     )
     for name in names.split()

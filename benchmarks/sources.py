@@ -27,6 +27,7 @@ SOURCES: Mapping[str, tuple[str, ...]] = {
     "live": _STREAMS,
     "measuring": (*_MAPS, "lfgpu/pipelines/estimate.py"),
     "misalignment": (*_CAMERAS, *_MAPS),
+    "pairs": (*_STREAMS, "lfgpu/cameras", "lfgpu/cli", "lfgpu/io"),
     "paper": ("kernels", *_MAPS, "lfgpu/io/lenslet", "tests/printed.py"),
     "population": (*_MAPS, "lfgpu/scenes"),
     "rectify": (*_STREAMS, "lfgpu/calibration"),

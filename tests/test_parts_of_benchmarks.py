@@ -3,6 +3,7 @@
 import json
 import mmap
 import re
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -303,3 +304,28 @@ def test_gain_is_fitted_over_shipped_for_each_rig() -> None:
     assert [(r.case, r.details["preset"], r.errors["mse_100"]) for r in like.by_weights(run)] == [
         (f"boxes, {rig}", which, error) for which, rigs in errors.items() for rig, error in rigs.items()
     ]
+
+
+def test_pairs_with_another_program(tmp_path: Path) -> None:
+    write_hci(scenes.make("boxes", grid=(3, 3), size=(48, 48)), tmp_path / "boxes")
+    other = f"{sys.executable} -c 'sum(range(3_000_000))'"
+    content = measured(tmp_path / "out.json", "pairs", str(tmp_path / "boxes"), other, "--presets=fast", "--pairs=3")
+    assert content["other"] == other
+    assert [row["what"] for row in content["rows"]] == ["command", "estimate"]
+    for row in content["rows"]:
+        for kind in ("cpu", "wall"):
+            assert min(row[f"{kind}_s"], row[f"other_{kind}_s"]) > 0.01
+            ratio = row[f"{kind}_s"] / row[f"other_{kind}_s"]
+            assert row[f"{kind}_ratio"] == pytest.approx(ratio, rel=0.8), "they are medians of three"
+    command, estimate = content["rows"]
+    assert command["cpu_s"] > 2 * estimate["cpu_s"], "a process has to begin first"
+
+
+@pytest.mark.parametrize(
+    ("other", "said"), [("no-such-program x", "cannot be started"), ("false", "false failed"), ("", "no command")]
+)
+def test_pairs_with_a_program_that_does_not_run(tmp_path: Path, other: str, said: str) -> None:
+    write_hci(scenes.make("boxes", grid=(3, 3), size=(48, 48)), tmp_path / "boxes")
+    outcome = CliRunner().invoke(app, ["pairs", str(tmp_path / "boxes"), other, "--presets=fast"])
+    assert outcome.exit_code == 1
+    assert said in outcome.output

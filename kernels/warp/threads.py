@@ -5,7 +5,6 @@ threads, so neither do the results.
 """
 
 import ctypes
-import glob
 import itertools
 import os
 import re
@@ -119,8 +118,12 @@ def cache_is_closed(error: OSError) -> BackendError:
 
 def _places(module: Any) -> list[Path]:
     """List the folders of a module in the cache, without those in which a process compiles it at this moment."""
-    found = Path(wp.config.kernel_cache_dir).glob(f"wp_{glob.escape(module.name)}_*")
-    return [place for place in found if not _IS_BEING_MADE(place.name)]
+    try:
+        names = os.listdir(wp.config.kernel_cache_dir)
+    except FileNotFoundError:
+        return []
+    own = (name for name in names if name.startswith(f"wp_{module.name}_") and not _IS_BEING_MADE(name))
+    return [Path(wp.config.kernel_cache_dir, name) for name in own]
 
 
 def _files(module: Any) -> Iterator[Path]:

@@ -3,6 +3,7 @@
 Commands import what they need when they run, so that help texts and wrong usage answer quickly.
 """
 
+import atexit
 import gc
 import io
 import os
@@ -94,7 +95,9 @@ def main() -> None:
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # file names may hold characters that the terminal cannot show
     os.environ.pop("MPLBACKEND", None)  # matplotlib refuses to load with a name that it does not know; no window opens
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")  # threads without work sleep at once, and do not spin
     gc.set_threshold(_OBJECTS)
+    atexit.register(gc.freeze)  # at the end everything goes with the process: nobody has to look for what is unused
     app(prog_name="lfgpu")
 
 
