@@ -9,7 +9,19 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from benchmarks import confidence, judge, like, live, misalignment, paper, pipelines, results, runs, tile_differences
+from benchmarks import (
+    confidence,
+    judge,
+    like,
+    live,
+    misalignment,
+    pairs,
+    paper,
+    pipelines,
+    results,
+    runs,
+    tile_differences,
+)
 from benchmarks.cases import Case
 from benchmarks.errors import BenchmarkError
 from benchmarks.results import FOLDER, Record, Run
@@ -226,6 +238,7 @@ TABLES: Mapping[str, tuple[tuple[str, ...], Callable[..., str]]] = {
     "live": (("h200-live.json",), lambda path: live.table(_rows(path)).markdown),
     "misalignment": (("misalignment.json",), lambda path: misalignment.table(misalignment.load(path)).markdown),
     "new-views": (("rendering.json",), _new_views),
+    "pairs": (("pairs.json",), lambda path: Table.of("", 3, _rows(path), pairs.COLUMNS).markdown),
     "paper": (
         ("paper-accuracy.json",),
         lambda path: _errors_by_preset([r for r in results.load(path).records if not r.failed]),
