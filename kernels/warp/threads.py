@@ -118,12 +118,12 @@ def cache_is_closed(error: OSError) -> BackendError:
 
 def _places(module: Any) -> list[Path]:
     """List the folders of a module in the cache, without those in which a process compiles it at this moment."""
+    start = f"wp_{module.name}_"
     try:
-        names = os.listdir(wp.config.kernel_cache_dir)
+        with os.scandir(wp.config.kernel_cache_dir) as entries:
+            return [Path(e.path) for e in entries if e.name.startswith(start) and not _IS_BEING_MADE(e.name)]
     except FileNotFoundError:
         return []
-    own = (name for name in names if name.startswith(f"wp_{module.name}_") and not _IS_BEING_MADE(name))
-    return [Path(wp.config.kernel_cache_dir, name) for name in own]
 
 
 def _files(module: Any) -> Iterator[Path]:
