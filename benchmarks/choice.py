@@ -13,13 +13,17 @@ from benchmarks.errors import BenchmarkError
 from benchmarks.options import DeviceName, say
 from lfgpu._backends import DEFAULT, open_device
 from lfgpu.methods.matching import learned
+from lfgpu.methods.matching.choice import read_choice
 
 
 def command(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE.npz", help="File of the weights.")],
-    light_fields: Annotated[int, typer.Option(min=1, metavar="N", help="Light fields to learn from.")] = 7392,
+    light_fields: Annotated[int, typer.Option(min=1, metavar="N", help="Light fields to learn from.")] = 11424,
     side: Annotated[int, typer.Option(min=32, help="Pixels of these, each way.")] = 256,
-    steps: Annotated[int, typer.Option(min=1)] = 5000,
+    steps: Annotated[int, typer.Option(min=1)] = 9000,
+    start: Annotated[
+        Path | None, typer.Option(metavar="FILE.npz", help="Weights to begin with. Default: new ones.")
+    ] = None,
     seed: Annotated[int, typer.Option(min=0)] = 0,
     device: DeviceName = None,
 ) -> None:
@@ -35,9 +39,13 @@ def command(
         if done % 100 == 0:
             say(f"{done} {said}, {time.monotonic() - began:.0f} s")
 
-    weights = learned.weights_file(learned.BUILT_IN)
+    weights, first = learned.weights_file(learned.BUILT_IN), None if start is None else read_choice(start)
     seen = draw(light_fields, seed=seed, device=place, side=side, weights=weights, on_light_field=shown)
     network = train_choice(
-        seen, steps=steps, seed=seed, on_step=lambda step, loss: shown(step, f"steps, loss {float(loss):.3f}")
+        seen,
+        steps=steps,
+        seed=seed,
+        start=first,
+        on_step=lambda step, loss: shown(step, f"steps, loss {float(loss):.3f}"),
     )
     write_weights(out, network.state_dict())

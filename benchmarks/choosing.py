@@ -25,15 +25,18 @@ from lfgpu.methods.base import Method
 from lfgpu.methods.matching.config import PRESETS, MatchingConfig
 from lfgpu.methods.matching.learned import WeightsFile
 from lfgpu.methods.matching.plan import MatchingPlan
+from lfgpu.methods.matching.unet import Weights
 from lfgpu.training.compared import Windows
 from lfgpu.training.generator import Generator
 from lfgpu.training.network import FOLD, Choice, follow, learning_rate
 from lfgpu.training.scenes import SPANS
+from lfgpu.training.weights import unfold
 
 _DISTURBED = 0.2  # standard deviation of factors of weights
 _TOGETHER = 8  # light fields of one array of cameras
 _REFRESH = 40  # arrays after which the textures are drawn anew
 _SPANS = SPANS[0], Windows.spans[1]  # pixels in the farthest view: in wide ranges the network is another one
+_MATT = 0.4  # share of the scenes in which all is matt, textured and in good light
 _MASKED = 0.25  # share of the arrays whose lenses are round
 _LENS = 0.55, 0.7  # radius of what these show, in diameters of the largest circle in a view
 _SLACK = 1.0, 6.0  # pixels in the farthest view by which ranges are wider than the truth at either end
@@ -42,6 +45,8 @@ _FINE, _MOST = 0.03, 16.0  # pixels in the farthest view: errors from which the 
 _RIGHT = 0.07  # pixels per view step, as for the confidence of the network
 _BATCH, _CROP = 16, 192
 _RATE, _WARM_UP = 2e-3, 200
+_RATE_AGAIN = 1e-3  # of training that begins with given weights
+_SHOWN = 64  # light fields that a choice with given weights is shown
 
 
 @dataclass(frozen=True)
@@ -118,7 +123,7 @@ def draw(
     found = list[tuple[NDArray[Any], ...]]()
     for drawn in count():
         if drawn % _REFRESH == 0:
-            generator = Generator((seed, 9, drawn), device, side=side, spans=_SPANS)
+            generator = Generator((seed, 9, drawn), device, side=side, spans=_SPANS, matt=_MATT)
         batch = generator.draw(drawn, _TOGETHER)
         offsets = np.concatenate([batch.offsets, np.zeros((1, 2))])
         apart = np.abs(offsets[:, None] - offsets).max(2)
@@ -194,19 +199,32 @@ def loss_of(decisions: Tensor, seen: Compared) -> Tensor:
 
 
 def train_choice(
-    seen: Compared, *, steps: int, seed: int, on_step: Callable[[int, Tensor], None] = lambda *_: None
+    seen: Compared,
+    *,
+    steps: int,
+    seed: int,
+    start: Weights | None = None,
+    on_step: Callable[[int, Tensor], None] = lambda *_: None,
 ) -> Choice:
-    """Train a choice on light fields; `on_step` is called with the number of each step and its loss."""
+    """Train a choice on light fields, from the weights `start` on if they are given.
+
+    `on_step` is called with the number of each step and its loss.
+    """
     torch.manual_seed(seed)
     device, rng = seen.truth.device, np.random.default_rng((seed, 10))
     network, mean = Choice().to(device), Choice().to(device)
+    rate = _RATE if start is None else _RATE_AGAIN
+    if start is not None:
+        some = seen.of(torch.arange(min(_SHOWN, len(seen.truth)), device=device), lambda part: part)
+        unfold(start, network, lambda shown: shown(some.features.float(), some.image.float()))
+        network.train()
     mean.load_state_dict(network.state_dict())
-    optimiser = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=1e-3)
+    optimiser = torch.optim.AdamW(network.parameters(), rate, weight_decay=1e-3)
     number, side = len(seen.truth), seen.truth.shape[-1]
     crop = min(_CROP, side)
     for step in range(steps):
         for group in optimiser.param_groups:
-            group["lr"] = learning_rate(_RATE, step, steps, _WARM_UP)
+            group["lr"] = learning_rate(rate, step, steps, _WARM_UP)
         y, x = rng.integers(0, side - crop + 1, 2)
         turns, is_mirrored = int(rng.integers(4)), bool(rng.integers(2))
 

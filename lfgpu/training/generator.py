@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -77,6 +78,8 @@ class Generator:
         The cameras that all light fields are of. Default None: cameras of any kind.
     spans
         Pixels in the farthest view over which the disparities of a scene are spread, unless the rig says it.
+    matt
+        Share of the scenes in which all things are matt, textured and in good light.
     """
 
     margin = 16
@@ -91,8 +94,10 @@ class Generator:
         rays: int = 4,
         rig: Rig | None = None,
         spans: tuple[float, float] = SPANS,
+        matt: float = 0.0,
     ) -> None:
-        self.seed, self.device, self.side, self.rays, self.rig, self._spans = seed, device, side, rays, rig, spans
+        self.seed, self.device, self.side, self.rays, self.rig = seed, device, side, rays, rig
+        self._scenes = partial(draw_scenes, spans=spans, matt=matt)
         drawn = draw_textures(textures, np.random.default_rng((*seed, 1)))
         self._textures = wp.array(drawn, dtype=wp.vec3f, device=device)
         for index in range(textures // 2, textures):  # pictures of generated scenes are textures, too
@@ -105,7 +110,7 @@ class Generator:
         order, starts = order_of_sectors(offsets)
         offsets = offsets[order]
         limits = None if self.rig is None else self.rig.limits
-        tables = draw_scenes(scenes, self.side, rng, textures=self._textures.shape[0], spans=self._spans, limits=limits)
+        tables = self._scenes(scenes, self.side, rng, textures=self._textures.shape[0], limits=limits)
         everywhere = np.concatenate([offsets, np.zeros((1, 2))])
         gains = 1 + 0.01 * rng.standard_normal((scenes, len(everywhere))) * (rng.random((scenes, 1)) < 0.25)
         shifts = 0.05 * rng.standard_normal((scenes, len(everywhere), 2)) * (rng.random((scenes, 1, 1)) < 0.2)

@@ -21,6 +21,8 @@ SPANS = 1.5, 40.0
 """Pixels in the farthest view over which the disparities of a scene are spread."""
 
 _ANGLES = 6.2832
+_TEXTURED = 0.15, 0.8  # contrast of things in matt scenes, at least
+_WELL_LIT = 0.7  # their exposure, at least
 _MOST_VIEWS = 40  # beside the reference, that are kept of a larger array
 
 
@@ -69,11 +71,12 @@ def draw_scenes(
     textures: int = 64,
     spans: tuple[float, float] = SPANS,
     limits: tuple[float, float] | None = None,
+    matt: float = 0.0,
 ) -> Tables:
     """Draw scenes for pictures of about `side` pixels, whose textures are the first `textures` of a set.
 
     Their disparities are spread over the `spans`, pixels in the farthest view, in any range, or lie about within
-    `limits`.
+    `limits`. In a share `matt` of the scenes, all things are matt, textured and in good light.
     """
     each, one = Draw(rng, (count, primitives)), Draw(rng, (count, 1))
     slots = np.arange(primitives)[None]
@@ -186,7 +189,10 @@ def draw_scenes(
     order = np.argsort(-(shapes["centre"][..., 2] + shapes["reach"][..., 2]), axis=1, kind="stable")
     shapes = np.take_along_axis(shapes, order, 1)
     _dress(looks, shapes, side, textures, each, one)
-    return shapes, looks, _light(count, rng, span[:, 0], low[:, 0])
+    lights = _light(count, rng, span[:, 0], low[:, 0])
+    if matt > 0:
+        _make_matt(looks, lights, one.often(matt)[:, 0], rng)
+    return shapes, looks, lights
 
 
 def _table(struct: Any, shape: tuple[int, ...]) -> Table:
@@ -268,6 +274,15 @@ def _light(count: int, rng: np.random.Generator, span: Float64Array, low: Float6
     lights["shot"] = np.where((noise < 0.35) | draw.often(0.3), 0.0, 0.035 * draw.uniform())
     lights["levels"] = 2.0 ** draw.one_of({8: 0.8, 10: 0.1, 12: 0.1}) - 1
     return lights
+
+
+def _make_matt(looks: Table, lights: Table, which: NDArray[np.bool_], rng: np.random.Generator) -> None:
+    """Make all things of some scenes matt and textured, and light these well."""
+    for shines in ("gloss", "mirror", "glow"):
+        looks[shines][which] = 0.0
+    shape = looks["contrast"][which].shape
+    looks["contrast"][which] = np.maximum(looks["contrast"][which], Draw(rng, shape).scale(*_TEXTURED))
+    lights["exposure"][which] = np.maximum(lights["exposure"][which], _WELL_LIT)
 
 
 def draw_array(rng: np.random.Generator) -> Float64Array:

@@ -141,3 +141,16 @@ def test_arrays_are_scaled_to_their_farthest_view() -> None:
         assert len(offsets) >= 2
         assert np.abs(offsets).max() == pytest.approx(1)
         assert np.abs(offsets).max(1).min() > 0
+
+
+def test_some_scenes_are_matt_textured_and_well_lit() -> None:
+    """The others, and all shapes, are what they are without such scenes."""
+    given = 40, SIDE
+    shapes, looks, lights = scenes.draw_scenes(*given, np.random.default_rng(5), matt=0.5)
+    whole, _, _ = usual = scenes.draw_scenes(*given, np.random.default_rng(5))
+    assert (shapes == whole).all()
+    shines = np.stack([looks[name] for name in ("gloss", "mirror", "glow")]).any((0, 2))
+    matt = ~shines & (looks["contrast"].min(1) >= 0.15) & (lights["exposure"] >= 0.7)
+    same = (looks == usual[1]).all(1) & (lights == usual[2])
+    assert 10 <= matt.sum() <= 30
+    assert (matt | same).all()

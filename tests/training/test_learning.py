@@ -269,4 +269,9 @@ def test_a_choice_learns(tmp_path: Path) -> None:
     unseen[..., 5:9, :] += 1
     assert torch.equal(loss_of(unseen, seen), loss_of(decisions, seen))
     write_weights(tmp_path / "choice.npz", network.state_dict())
-    assert read_choice(tmp_path / "choice.npz").keys() == fold(network.state_dict()).keys()
+    written = read_choice(tmp_path / "choice.npz")
+    assert written.keys() == fold(network.state_dict()).keys()
+    again = train_choice(seen, steps=1, seed=1, start=written)
+    with torch.no_grad():
+        decisions = again(seen.features.float(), seen.image.float())
+    assert float(loss_of(decisions, seen)) < losses[0] - 0.1  # begun where the other one ended
