@@ -1,7 +1,8 @@
 // The alignment on a CPU, of a row and of its views.
 //
 // A thread goes along the row in chunks, view by view, with their sums on its stack. Vector units have a pixel in each
-// lane: pixels of a chunk land anywhere, and what they land on is gathered, a pixel with all its channels at once.
+// lane: where pixels of a chunk land in line, what they land on is read as it lies, elsewhere it is gathered, a pixel
+// with all its channels at once.
 #pragma once
 #include "lfgpu.h"
 
@@ -11,7 +12,7 @@ void align(
     Number robust, float tolerance, float share_of_all, Array2<float> disparity, Array3<float> nearest, int line,
     int lanes, Array2<float> curvature_out, Array2<float> slope_out) {
     const int y = line + tid / lanes;
-    constexpr int CHUNK = 128;
+    constexpr int CHUNK = 128, RUN = 16;
     const int height = disparity.shape[0], width = disparity.shape[1], count = offsets.shape[0];
     const int wide = width + BORDER;
     const size_t size = (size_t)(height + BORDER) * wide;
@@ -31,6 +32,7 @@ void align(
 
     // Where a chunk of pixels lands in a view, as the first of four taps, and whether the view takes part there.
     int corners[CHUNK];
+    bool in_line[CHUNK / RUN];
     float axs[CHUNK], ays[CHUNK], parts[CHUNK];
     auto land = [&](int n, int begin, int many) {
         const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
@@ -55,6 +57,27 @@ void align(
             const bool valid = channel(view, (y1 + BEFORE) * wide + x1 + BEFORE, PAD - 1) != 0.f;
             parts[i] = (inside & seen & valid) ? 1.f : 0.f;
         }
+        for (int run = 0; run + RUN <= many; run += RUN) {
+            int apart = 0;
+            for (int i = 0; i < RUN; ++i) apart |= corners[run + i] - corners[run] - i;
+            in_line[run / RUN] = apart == 0;
+        }
+    };
+    // work(pixel of the chunk, its corner): most runs of pixels land in line, and what they land on is read at once.
+    auto for_each = [&](int many, auto work) {
+        int run = 0;
+        for (; run + RUN <= many; run += RUN) {
+            if (in_line[run / RUN]) {
+                const int corner = corners[run];
+                #pragma clang loop vectorize(assume_safety)
+                for (int i = 0; i < RUN; ++i) work(run + i, corner + i);
+            } else {
+                #pragma clang loop vectorize(assume_safety)
+                for (int i = 0; i < RUN; ++i) work(run + i, corners[run + i]);
+            }
+        }
+        #pragma clang loop vectorize(assume_safety)
+        for (int i = run; i < many; ++i) work(i, corners[i]);
     };
     auto is_left_out = [&](int n) {  // the reference, or NaN
         const float du = offsets.data[n].c[0], dv = offsets.data[n].c[1];
@@ -92,9 +115,7 @@ void align(
             const Word* const row0 = row1 - wide;
             const Word* const row2 = row1 + wide;
             const Word* const row3 = row2 + wide;
-            #pragma clang loop vectorize(assume_safety)
-            for (int i = 0; i < many; ++i) {
-                const int p = corners[i];
+            for_each(many, [&](int i, int p) {
                 const float ax = axs[i], ay = ays[i], bx = 1.f - ax, by = 1.f - ay, w = weight[i];
                 float found[3][CHANNELS], apart = 0.f;
                 #pragma unroll
@@ -119,7 +140,7 @@ void align(
                     #pragma unroll
                     for (int j = 0; j < 3; ++j) mean[j][c][i] += found[j][c] * k;
                 sum_k[i] += k;
-            }
+            });
         }
         for (int i = 0; i < many; ++i)
             for (int j = 0; j < 3; ++j)
@@ -134,9 +155,7 @@ void align(
             const Word* const row3 = row2 + wide;
             const Word* const row4 = row3 + wide;
             const Word* const row5 = row4 + wide;
-            #pragma clang loop vectorize(assume_safety)
-            for (int i = 0; i < many; ++i) {
-                const int p = corners[i];
+            for_each(many, [&](int i, int p) {
                 const float ax = axs[i], ay = ays[i], bx = 1.f - ax, by = 1.f - ay, w = weight[i];
                 float residual[3][CHANNELS], found[5][CHANNELS], apart = 0.f;
                 #pragma unroll
@@ -181,7 +200,7 @@ void align(
                 uv[i] += ku * dv;
                 vv[i] += kv * dv;
                 sum_change[i] += k;
-            }
+            });
         }
         for (int i = 0; i < many; ++i) {
             const float share = 1.f / sum_change[i], of_gradients = share * weight[i];
